@@ -60,7 +60,7 @@ def watch(
     )
     record = simulation.record(duration_s)
     pairing = Pairing()
-    asker = DelayWatch(WHITE_BOX, INITIAL, 0.0, asked=False, gap_s=0.5)
+    asker = DelayWatch(WHITE_BOX, INITIAL, 0.0, is_estimated=False, gap_s=0.5)
     said: set[DelayVerdict] = set()
     shift_ns = round(delay_s * 1e9)
     signals = zip(

@@ -16,6 +16,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
+
 from common.figures import Figure, figure_table, last_line, table
 from common.simulated_bags import SAMPLE_RATE_HZ, write_bag
 

@@ -206,7 +206,7 @@ def fit_sentences(result: Path, *, coloured: bool) -> str:
         name: FitAssessment.from_dict({**motor['fit'], 'samples': motor['samples']})
         for name, motor in motors.items()
     }
-    return '\n'.join(fit_line(name, fit, coloured=coloured) for name, fit in fits.items())
+    return '\n'.join(fit_line(name, fit, has_colour=coloured) for name, fit in fits.items())
 
 
 def summary(motors: Mapping[str, Any], recorded: int | None, used: int | None) -> str:

@@ -195,11 +195,11 @@ class _WhiteBox:
             Balance(
                 storage=0,
                 places=('j',),  # type: ignore[arg-type]
-                unknown=(_of_every(UNKNOWN, 't.value'),),
+                unknown_effects=(_of_every(UNKNOWN, 't.value'),),
                 unknown_slopes=tuple((_of_every(UNKNOWN, slope),) for slope in slopes),
-                known=(_constant('t.value'),),
+                known_effects=(_constant('t.value'),),
                 known_slopes=tuple((_constant(slope),) for slope in slopes),
-                driven=_drive(DRIVES[state]),
+                drive_form=_drive(DRIVES[state]),
                 torque_constant=Written('box->torque_constant'),
                 speed_measured=True,  # or worked out before
                 following_speed=None,
@@ -410,16 +410,16 @@ class _WholeMotor:
         return Balance(
             storage=storage,
             places=tuple(place for place, _ in effects),
-            unknown=tuple(_function(ARGUMENTS, effect) for _, effect in effects),
+            unknown_effects=tuple(_function(ARGUMENTS, effect) for _, effect in effects),
             unknown_slopes=tuple(
                 tuple(
                     _function(ARGUMENTS, derivative(effect, SIGNALS[by])) for _, effect in effects
                 )
                 for by in State
             ),
-            known=(),
+            known_effects=(),
             known_slopes=tuple(() for _ in State),
-            driven=_drive(DRIVES[state]),
+            drive_form=_drive(DRIVES[state]),
             torque_constant=Written('torque_constant'),
             speed_measured=False,
             following_speed=None,

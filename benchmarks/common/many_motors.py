@@ -56,7 +56,7 @@ class NoTraining:
     """Trains nothing: only the prediction is timed."""
 
     busy = False
-    resting = True
+    is_resting = True
     failure = None
     share = 0.0
 

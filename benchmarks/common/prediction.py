@@ -39,7 +39,7 @@ SETTLED_S = 1.0
 class NoTraining:
     """The network stays what it is."""
 
-    busy = resting = False
+    busy = is_resting = False
     failure = None
 
     def submit(self, job: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ COMPILED = Extension(
         for name in ('regular_block', 'regular_estimate', 'interval_motion', 'whole_motor')
     ],
     include_dirs=[PACKAGE],
-    depends=[str(path) for path in sorted(Path(PACKAGE, 'white_box').glob('*.h'))],
+    depends=[str(path) for path in sorted(Path(PACKAGE).rglob('*.h'))],
     # Products fused with sums would make results depend on the processor; vectors are passed inside
     # one file only.
     extra_compile_args=['-O2', '-std=gnu11', '-ffp-contract=off', '-fno-math-errno', '-Wno-psabi'],

@@ -12,6 +12,11 @@ from common.rotor.runs import run_trial
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor
 
+from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import LogPrior, fit_window
+from gray_box_observer.white_box import MotorWhiteBox
+
 
 def test_a_record_is_drawn_alike_from_the_same_seed() -> None:
     one, other = (draw(gear_motor, 3, 500.0, 1.0) for _ in range(2))
@@ -87,3 +92,24 @@ def test_a_trial_with_a_late_speed_ends_near_the_truth() -> None:
     assert np.abs(trial.z).max() < 4.5
     assert trial.identified.all()
     assert trial.fit != 'misfit'
+
+
+def test_a_search_that_stops_before_a_kink_goes_on_beyond_it() -> None:
+    record = draw(gear_motor, 14, 100.0, 40.0)
+    motor = record.motor
+    samples = np.zeros((4, record.measured_a.size))
+    samples[0, 1:], samples[1, 1:] = record.interval_s, record.voltage_v
+    samples[2] = record.measured_a * motor.torque_constant
+    box = MotorWhiteBox(
+        NODES, motor.torque_constant, {'back_emf_constant': motor.back_emf_constant}
+    )
+    window = Window.from_samples(box, samples[:, :1372])
+    prior = LogPrior(np.log(record.truth), 1e-3 * np.eye(len(NODES)))
+    aside = record.truth * (1.0 + np.array([-0.094, -0.0041, 0.0029, 0.0137, -0.0036]))
+    from_aside, from_truth = (
+        completed(fit_window(box, window, prior, [start], tries_others=False))
+        for start in (aside, record.truth)
+    )
+    assert from_aside is not None
+    assert from_truth is not None
+    assert from_aside.noise_a < 1.001 * from_truth.noise_a

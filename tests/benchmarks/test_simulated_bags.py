@@ -23,7 +23,7 @@ def test_a_bag_is_of_the_motor_that_was_asked_for(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag', 1, 20.0, start_ns=10**18, resistance=2.0)
     outcome = run([tmp_path / 'bag'], Configuration.from_flat({}), None)
     assert outcome.courses['motor'].first_ns == 10**18
-    assert outcome.observer.counts('motor').used == 2000
+    assert outcome.observer.counts('motor').used_count == 2000
     np.testing.assert_allclose(
         outcome.observer.estimates()['motor'].value, [[0.5, 2.0, 10.0]], rtol=0.02
     )

@@ -139,12 +139,14 @@ class Run:
         for _ in range(RECOVERY):
             self._deliver(frozenset(), '')
         names = self.case.names
-        before = {name: self.core.observer.counts(name).used for name in names}
+        before = {name: self.core.observer.counts(name).used_count for name in names}
         for _ in range(RECOVERY):
             self._deliver(frozenset(), '')
         self.core.close()
         expected = RECOVERY // self.case.rates[0] - 2
-        return sum(self.core.observer.counts(name).used - before[name] < expected for name in names)
+        return sum(
+            self.core.observer.counts(name).used_count - before[name] < expected for name in names
+        )
 
     def _deliver(self, missing: frozenset[str], way: str) -> None:
         """Deliver what a tick brings."""

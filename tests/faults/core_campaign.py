@@ -88,24 +88,31 @@ class Account:
             ('torque', pairing.received_torque),
         ):
             unreadable, strangers = (
-                message_input.rejected[signal].total(),
+                message_input.rejection_counts[signal].total(),
                 message_input.others[signal],
             )
             self.unexplained += abs(delivered[signal] - of_motor - unreadable - strangers)
             self.counts.update({'unreadable': unreadable, 'of no motor asked for': strangers})
             self.counts.update(
-                {f'refused: {reason.value}': n for reason, n in pairing.refused[signal].items()}
+                {
+                    f'refused: {reason.value}': n
+                    for reason, n in pairing.refusal_counts[signal].items()
+                }
             )
             self.counts['delivered'] += delivered[signal]
-        kept = pairing.used + pairing.waiting
-        self.unexplained += abs(pairing.received_torque - kept - pairing.refused['torque'].total())
+        kept = pairing.used_count + pairing.waiting_count
         self.unexplained += abs(
-            pairing.received_voltage - pairing.taken_voltage - pairing.refused['voltage'].total()
+            pairing.received_torque - kept - pairing.refusal_counts['torque'].total()
+        )
+        self.unexplained += abs(
+            pairing.received_voltage
+            - pairing.taken_voltage
+            - pairing.refusal_counts['voltage'].total()
         )
         self.counts.update(
             {
-                'samples used': pairing.used,
-                'waiting': pairing.waiting,
+                'samples used': pairing.used_count,
+                'waiting': pairing.waiting_count,
                 'voltages taken': pairing.taken_voltage,
             }
         )

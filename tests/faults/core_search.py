@@ -366,7 +366,7 @@ def _compare_with_bag(setup: Setup, messages: list[Message], live: WatchedCore) 
         try:
             outcome = run_offline([path], Configuration.from_flat(setup.settings), training)
         except BagError:
-            used = sum(live.observer.counts(name).used for name in setup.names)
+            used = sum(live.observer.counts(name).used_count for name in setup.names)
             assert used == 0, 'the offline command finds nothing to use where the live core does'
             return
     assert outcome.digest == live.digest, 'estimates of the offline command are others'

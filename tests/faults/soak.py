@@ -33,7 +33,7 @@ SETTLING_S = 600
 class NoTraining:
     """A predictor that is not taught: what is left of it runs in the sample path."""
 
-    resting, busy, failure = True, False, None
+    is_resting, busy, failure = True, False, None
 
     def __init__(self, _configuration: dict[str, Any]) -> None:
         pass

@@ -23,7 +23,7 @@ from gray_box_observer.settings.configuration import Configuration
 class IdleTraining:
     """Training that takes every job and never ends one."""
 
-    resting = False
+    is_resting = False
     busy = False
     failure: str | None = None
     share = 1.0
@@ -150,14 +150,16 @@ class WatchedCore:
         """Compare, of every motor and signal, what came with what became of it."""
         for name in self.observer.configuration.motors:
             counts = self.observer.counts(name)
-            of_torque = counts.used + counts.refused['torque'].total() + counts.waiting
-            of_voltage = counts.taken_voltage + counts.refused['voltage'].total()
+            of_torque = (
+                counts.used_count + counts.refusal_counts['torque'].total() + counts.waiting_count
+            )
+            of_voltage = counts.taken_voltage + counts.refusal_counts['voltage'].total()
             self.unbalanced += abs(counts.received_torque - of_torque)
             self.unbalanced += abs(counts.received_voltage - of_voltage)
         incidents = self.observer.incidents
         assert not incidents, f'a defect has stopped motors: {incidents}'
         for signal, delivered in self._delivered.items():
-            known = self._message_input.received[signal]
+            known = self._message_input.message_counts[signal]
             self.unbalanced += abs(delivered - known)
 
     def close(self) -> None:

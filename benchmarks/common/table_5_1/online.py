@@ -21,7 +21,7 @@ anew."""
 class NoTraining:
     """A trainer that never trains: predictions go on with the network that was restored."""
 
-    busy = resting = False
+    busy = is_resting = False
     failure: str | None = None
 
     def submit(self, job: dict[str, Any]) -> None:

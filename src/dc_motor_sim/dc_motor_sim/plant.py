@@ -224,10 +224,10 @@ class Plant:
         """Bound on the fastest electrical or mechanical rate in the coming step, 1/s, (motor,)."""
         current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
         torque = self._Kt * current + np.abs(self._Tl)
-        gained = torque / np.maximum(
+        speed_gain = torque / np.maximum(
             self._J / step_s, self._b
         )  # inertia or friction, whichever limits more
-        speed = np.abs(state[:, 1]) + gained
+        speed = np.abs(state[:, 1]) + speed_gain
         electrical = (self._R + self._K * speed) / self._L
-        coupling = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))
-        return np.maximum(np.maximum(electrical, coupling), self._b / self._J)
+        coupling_rate = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))
+        return np.maximum(np.maximum(electrical, coupling_rate), self._b / self._J)

@@ -53,7 +53,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
     )
     namespace = LaunchConfiguration('namespace').perform(context)
     bag = launch_arguments.new_folder('output', output, 'demo_bag')
-    simulated = {
+    sim_parameters = {
         'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
         'duration_s': launch_arguments.number('duration', duration),
         'torque_noise_relative': launch_arguments.number('torque_noise', torque_noise),
@@ -63,7 +63,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
 
     # Plain nodes: launch_ros ends with an error where the end is asked for twice and one of the
     # nodes is managed.
-    shared: dict[str, Any] = {
+    common_arguments: dict[str, Any] = {
         'namespace': namespace,
         'output': 'screen',
         # of these nodes alone: the environment of the launch belongs to whoever includes this file
@@ -76,7 +76,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
         name='gray_box_dashboard',
         arguments=[*page, *(word for file in files for word in ('--params', file))],
         on_exit=Shutdown(reason='the dashboard has ended'),
-        **shared,
+        **common_arguments,
     )
     return [
         *([] if port is None else [dashboard]),
@@ -86,7 +86,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
             name='gray_box_observer',
             parameters=files or [guess],
             on_exit=Shutdown(reason='the observer has ended'),
-            **shared,
+            **common_arguments,
         ),
         Node(
             package='gray_box_observer',
@@ -94,23 +94,23 @@ def make_nodes(context: LaunchContext) -> list[Node]:
             name='bag_recorder',
             parameters=[*files, {'output': ParameterValue(bag, value_type=str)}],
             on_exit=Shutdown(reason='the recorder has ended'),
-            **shared,
+            **common_arguments,
         ),
         Node(
             package='dc_motor_sim',
             executable='motor_sim',
             name='motor_sim',
-            parameters=[*files, simulated if files else {**motor, **simulated}],
+            parameters=[*files, sim_parameters if files else {**motor, **sim_parameters}],
             on_exit=Shutdown(reason='the simulator has ended'),
-            **shared,
+            **common_arguments,
         ),
     ]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the launch."""
-    declared = [
+    declarations = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])
+    return LaunchDescription([*declarations, OpaqueFunction(function=make_nodes)])

@@ -43,8 +43,8 @@ def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the launch."""
-    declared = [
+    declarations = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])
+    return LaunchDescription([*declarations, OpaqueFunction(function=make_nodes)])

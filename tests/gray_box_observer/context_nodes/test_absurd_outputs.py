@@ -30,8 +30,8 @@ def test_a_speed_that_no_rotor_can_have_ends_nothing(speed_name: str) -> None:
     assert observer.incidents == {}
     assert all(estimate.is_finite for estimate in observer.estimates().values())
     counts = observer.counts('motor')
-    refused = counts.refused['torque'].total()
-    assert counts.used + counts.waiting + refused == 600
+    refused = counts.refusal_counts['torque'].total()
+    assert counts.used_count + counts.waiting_count + refused == 600
     assert (refused == 600) == (speed_name == 'huge'), 'only what cannot be is refused'
 
 

@@ -32,7 +32,7 @@ def test_a_verdict_follows_from_value_and_standard_deviation(
 
 def test_frozen_goes_before_every_other_verdict() -> None:
     judged = VerdictSettings().judge(
-        (PARAMETER,) * 2, np.ones((3, 2)), np.ones((3, 2)), frozen=True
+        (PARAMETER,) * 2, np.ones((3, 2)), np.ones((3, 2)), is_frozen=True
     )
     assert judged == ((Verdict.FROZEN,) * 2,) * 3
 

@@ -17,6 +17,7 @@ from gray_box_observer.context_nodes import (
     VerdictSettings,
     can_be_output,
 )
+from gray_box_observer.context_nodes.measured_speed import output_update
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
 from gray_box_observer.context_nodes.pieces import completed
@@ -223,6 +224,38 @@ def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
     assert one.theta.tobytes() == other.theta.tobytes()
     assert one.estimate().covariance.tobytes() == other.estimate().covariance.tobytes()
     assert one.replay.content().tobytes() == other.replay.content().tobytes()
+
+
+@pytest.mark.slow
+def test_a_fit_of_both_outputs_under_way_goes_on_bit_for_bit_where_it_is_restored() -> None:
+    one, restored = rule(), []
+    for k, sample in enumerate(readings('noisy')):
+        changed = one.learn(sample)
+        assert all(other.learn(sample) == changed for other in restored)
+        plain, arrays = one.state() if k % 40 == 0 else ({}, {})
+        if 'fitting' in plain.get('measured_speed', {}).get('outputs', {}) and len(restored) < 3:
+            restored.append(rule())
+            restored[-1].restore(plain, {name: array.copy() for name, array in arrays.items()})
+    assert len(restored) == 3
+    for other in restored:
+        assert other.is_noisy == one.is_noisy
+        assert other.theta.tobytes() == one.theta.tobytes()
+        assert other.estimate().covariance.tobytes() == one.estimate().covariance.tobytes()
+        assert other.state()[0] == one.state()[0]
+
+
+def test_windows_that_no_fit_is_found_for_are_failures(monkeypatch: pytest.MonkeyPatch) -> None:
+    update = learnt(readings('noisy', 1.0))
+    assert update.is_noisy
+
+    def nothing(*_: Any) -> Any:
+        yield 1
+
+    monkeypatch.setattr(output_update, 'fit_outputs', nothing)
+    monkeypatch.setattr(output_update, 'fit_outputs_again', nothing)
+    learnt(readings('noisy')[1000:], update)
+    assert update.state()[0]['measured_speed']['failures'] > 0
+    assert update.state()[0]['measured_speed']['explained'] == -1
 
 
 def test_a_state_that_nobody_learnt_is_refused() -> None:

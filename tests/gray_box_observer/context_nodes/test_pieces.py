@@ -11,6 +11,7 @@ from rotor_motors import BOX, INITIAL, recorded, samples_of
 from gray_box_observer.context_nodes import RotorUpdate
 from gray_box_observer.context_nodes.pieces import (
     AT_ONCE,
+    LARGEST_SHARE,
     SAVED,
     SHARE,
     Pieces,
@@ -35,7 +36,7 @@ def test_work_may_be_done_at_once() -> None:
 def test_a_sample_does_no_more_than_its_share_beside_one_piece() -> None:
     budget, job, done = WorkBudget(), work(10_000), 0
     for samples in range(1, 2001):
-        budget.grant()
+        budget.grant(1e-3)
         before = budget.credit
         assert budget.advance(job) == (False, None)
         assert before - budget.credit < AT_ONCE + SIZE
@@ -48,9 +49,19 @@ def test_a_piece_that_is_too_large_is_paid_for_by_later_samples() -> None:
     budget, job = WorkBudget(), work(3, 2 * SAVED)
     samples = 0
     while not budget.advance(job)[0]:
-        budget.grant()
+        budget.grant(1e-3)
         samples += 1
     assert samples * SHARE > 3 * SAVED
+
+
+@pytest.mark.parametrize(
+    ('interval_s', 'share'), [(0.0, SHARE), (1e-4, SHARE), (4e-3, 4 * SHARE), (1.0, LARGEST_SHARE)]
+)
+def test_slow_samples_grant_more(interval_s: float, share: int) -> None:
+    budget = WorkBudget()
+    budget.credit = 0
+    budget.grant(interval_s)
+    assert budget.credit == share
 
 
 def test_a_saved_piece_of_work_that_there_is_not_is_refused() -> None:

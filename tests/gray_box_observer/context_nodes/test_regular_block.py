@@ -118,7 +118,7 @@ def test_every_term_is_compiled_as_it_is_declared() -> None:
         if form is None:
             continue
         for current, speed in product((-3.0, -0.01, 0.0, 0.5), (-20.0, 0.0, 7.0)):
-            for measured, slope in enumerate((form.following, form.partial[State.CURRENT])):
+            for measured, slope in enumerate((form.total_slope, form.partial[State.CURRENT])):
                 library.term_values(code, measured, current, speed, constant, values)
                 declared = [function(current, speed, constant) for function in (form.value, slope)]
                 np.testing.assert_allclose(list(values), declared, rtol=1e-15, err_msg=name)

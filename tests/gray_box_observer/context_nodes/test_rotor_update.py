@@ -9,6 +9,7 @@ import pytest
 from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, samples_of
 
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
+from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
@@ -177,3 +178,16 @@ def test_histories_too_short_to_tell_are_left_out_of_the_fit_and_of_its_test() -
         observer.torque('motor', stamp + gap_ns, float(recording.torque_nm[0, k]))
     assert not observer.incidents
     assert observer.estimates()['motor'].value[0, 1] == pytest.approx(THETA[1], rel=0.02)
+
+
+def test_windows_follow_one_another_without_a_gap() -> None:
+    update, starts = RotorUpdate(BOX, INITIAL), set()
+    for sample in samples_of(recorded()):
+        update.learn(sample)
+        if update.fitting is not None:
+            place, samples = update.fitting
+            if samples.shape[1] > WINDOW // 2:
+                starts.add(place - samples.shape[1])
+    plain, _ = update.state()
+    assert plain['remembers']
+    assert starts == {len(recorded().stamp_ns) + plain['mark'] - WINDOW}

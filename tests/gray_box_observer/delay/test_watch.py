@@ -160,7 +160,9 @@ def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_co
         results = feed(one, recording, delay, torque_late=torque_late) + one.flush()
         assert one.delays()['motor'].verdict is DelayVerdict.ESTIMATED
         assert [r.sample.stamp_ns for r in results] == sorted({r.sample.stamp_ns for r in results})
-        traces.append((trace(results), one.delays()['motor'].applied_s, one.counts('motor').used))
+        traces.append(
+            (trace(results), one.delays()['motor'].applied_s, one.counts('motor').used_count)
+        )
     assert all(t == traces[0] for t in traces[1:])
 
 
@@ -205,8 +207,11 @@ def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_wa
         results = feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), delay)
         pairing = one.counts('motor')
         assert one.delays()['motor'].applied_s != 0.0
-        assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
-        assert len(results) == pairing.used
+        assert (
+            pairing.received_torque
+            == pairing.used_count + pairing.rejected.total() + pairing.waiting_count
+        )
+        assert len(results) == pairing.used_count
 
 
 def test_a_delay_that_grows_sharper_after_a_restart_costs_no_certainty_learnt_before_it(

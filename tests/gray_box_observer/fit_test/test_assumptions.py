@@ -52,8 +52,8 @@ def test_what_is_stated_for_all_motors_counts_for_each_and_outlasts_a_change() -
         'b.speed_source': 'torque_constant',
     }
     configuration = Configuration.from_flat(given).with_values({'gap_s': 0.7})
-    assert configuration.motors['a'].stated == {'back_emf_constant'}
-    assert configuration.motors['b'].stated == {'back_emf_constant', 'speed_source'}
+    assert configuration.motors['a'].stated_names == {'back_emf_constant'}
+    assert configuration.motors['b'].stated_names == {'back_emf_constant', 'speed_source'}
 
 
 def test_a_configuration_tells_what_sets_it_apart() -> None:

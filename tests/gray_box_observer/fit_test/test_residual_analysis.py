@@ -18,8 +18,13 @@ from linear_motor_records import (
 
 from gray_box_observer.fit_test import FitVerdict, residual_analysis
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.policy import judge
-from gray_box_observer.fit_test.residual_analysis import analyse, ljung_box, long_run_covariance
+from gray_box_observer.fit_test.policy import FEW_PERIODS, judge
+from gray_box_observer.fit_test.residual_analysis import (
+    analyse,
+    bandwidth,
+    ljung_box,
+    long_run_covariance,
+)
 
 SAMPLES = 4000
 STD_A = 0.05
@@ -130,6 +135,20 @@ def test_quantised_readings_do_not_look_free_of_noise() -> None:
 def test_the_ljung_box_statistic_is_about_one_for_white_noise() -> None:
     values = [ljung_box(noise(2000, 1.0, seed)) for seed in range(50)]
     assert np.mean(values) == pytest.approx(1.0, abs=0.15)
+
+
+def test_three_deviations_of_a_covariance_from_few_periods_hold_what_three_should() -> None:
+    count, records = 128, 5000
+    generator = np.random.default_rng(1)
+    sizes = []
+    for _ in range(records):
+        terms = generator.standard_normal((count, 1))
+        std = np.sqrt(long_run_covariance(terms - terms.mean())[0, 0])
+        sizes.append(abs(float(terms.sum())) / std)
+    widening = 1.0 + FEW_PERIODS * bandwidth(count) / count
+    outside = [float(np.mean(np.array(sizes) > 3.0 * factor)) for factor in (1.0, widening)]
+    assert outside[0] > 0.015, 'it is too small by itself: 0.3 % should lie outside'
+    assert outside[1] < 0.005
 
 
 @pytest.mark.parametrize(('memory', 'inflation'), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])

@@ -21,6 +21,8 @@ from linear_motor_records import (
 
 from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test.policy import (
+    FEW_PERIODS,
+    SAFETY,
     UNIFORM_STD,
     UNTOLD_DELAY,
     WHITENESS_DOUBT,
@@ -28,7 +30,7 @@ from gray_box_observer.fit_test.policy import (
     Judgement,
     judge,
 )
-from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.residual_analysis import analyse, bandwidth
 
 SAMPLES = 3000
 STD_A = 0.01
@@ -117,6 +119,9 @@ def test_standard_deviations_grow_with_a_residual_that_is_hardly_coloured() -> N
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
     assert WHITENESS_WIDENS < analysis.whiteness < WHITENESS_DOUBT
     judgement = judge(analysis, 0.3 * SURE, SAMPLES, speed_measured=False, stamps_exact=True)
+    few = 1.0 + FEW_PERIODS * bandwidth(analysis.samples) / analysis.samples
+    widening = SAFETY * few
+    assert 1.25 < widening < 1.5
     assert judgement.factor == pytest.approx(
-        np.maximum(1.25 * analysis.robust_std / (0.3 * SURE), 1.0)
+        np.maximum(widening * analysis.robust_std / (0.3 * SURE), 1.0)
     )

@@ -38,7 +38,7 @@ def test_a_bag_identifies_the_motor_it_was_recorded_of(
     np.testing.assert_allclose(
         outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02
     )
-    assert outcome.observer.counts('motor').used == 6000
+    assert outcome.observer.counts('motor').used_count == 6000
     course = outcome.courses['motor']
     assert (course.first_ns, course.last_ns) == (10**9, 10**9 + 59_990_000_000)
     assert outcome.warnings == []
@@ -109,7 +109,7 @@ def test_an_older_bag_after_a_newer_one_restarts_the_history_and_keeps_the_estim
     bag = write_bag(tmp_path / 'bag', messages)
     outcome = observe(bag, bag)
     assert outcome.observer.counts('motor').restarts >= 1
-    assert outcome.observer.counts('motor').used == 2000
+    assert outcome.observer.counts('motor').used_count == 2000
     np.testing.assert_allclose(
         outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02
     )
@@ -122,12 +122,14 @@ def test_broken_messages_are_counted_and_skipped(
     for k in (101, 301, 501):
         broken[k] = (broken[k][0], broken[k][1], broken[k][2][:30])
     outcome = observe(write_bag(tmp_path / 'bag', broken))
-    assert {name: counts.total() for name, counts in outcome.message_input.rejected.items()} == {
+    assert {
+        name: counts.total() for name, counts in outcome.message_input.rejection_counts.items()
+    } == {
         'voltage': 0,
         'torque': 3,
         'speed': 0,
     }
-    assert outcome.observer.counts('motor').used == 997
+    assert outcome.observer.counts('motor').used_count == 997
 
 
 @pytest.mark.parametrize(

@@ -239,7 +239,7 @@ def test_a_robot_is_identified_by_parameters_alone(
     outcome = observe(record(tmp_path / 'bag', rows_at, recording), rows_at.__name__)
     assert outcome.warnings == []
     (motor,) = outcome.observer.configuration.motors
-    assert outcome.observer.counts(motor).used >= 0.99 * recording.stamp_ns.size
+    assert outcome.observer.counts(motor).used_count >= 0.99 * recording.stamp_ns.size
     estimate = outcome.observer.estimates()[motor]
     values = dict(
         zip([p.name for p in estimate.parameters], estimate.value[0].tolist(), strict=True)

@@ -107,13 +107,13 @@ def test_a_battery_that_falls_silent_is_refused_and_named() -> None:
     taker, observer = listening(DUTY)
     taker.ingest('voltage', duty(990, 0.5), 0, 'duty')
     taker.ingest('voltage', duty(1000, 0.5), 0, 'duty')
-    assert taker.rejected['voltage'][Rejection.STALE_INPUT] >= 1
+    assert taker.rejection_counts['voltage'][Rejection.STALE_INPUT] >= 1
     assert taker.complaints['voltage'] == 'battery has brought nothing yet'
     taker.ingest('voltage', message(1000, voltage=12.0), 0, 'battery')
     for k in range(1, 500):
         taker.ingest('voltage', duty(1000 + 10 * k, 0.5), 0, 'duty')
     assert max(stamp for _, stamp, _ in observer.told) == 3000
-    assert taker.rejected['voltage'][Rejection.STALE_INPUT] >= 299
+    assert taker.rejection_counts['voltage'][Rejection.STALE_INPUT] >= 299
     assert taker.complaints['voltage'] == 'battery is 4.99 s old'
     taker.ingest('voltage', message(5995, voltage=11.0), 0, 'battery')
     taker.ingest('voltage', duty(6000, 0.5), 0, 'duty')
@@ -181,7 +181,7 @@ def test_several_motors_and_one_number_are_refused() -> None:
         }
     )
     assert taker.ingest('voltage', SimpleNamespace(data=1.0), 5, 'duty').groups == []
-    assert taker.rejected['voltage'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['voltage'] == {Rejection.MALFORMED: 1}
     assert 'one number, but there are 2 motors' in taker.complaints['voltage']
 
 
@@ -191,7 +191,7 @@ def test_a_message_that_cannot_be_read_is_counted_and_nothing_is_lost() -> None:
     taker.ingest('voltage', duty(1010, 0.5, 0.6), 0, 'duty')
     taker.ingest('voltage', duty(1020, 0.5), 0, 'duty')
     taker.ingest('voltage', duty(1030, 0.5), 0, 'duty')
-    assert taker.rejected['voltage'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['voltage'] == {Rejection.MALFORMED: 1}
     assert {v['motor'] for _, _, v in observer.told} == {6.0}
 
 
@@ -254,6 +254,6 @@ def test_motors_with_joints_of_other_names_are_computed_together() -> None:
         taker.ingest('voltage', duty(1000 + 10 * k, *values, names=joints), 0)
         taker.ingest('torque', duty(1000 + 10 * k, *values, names=joints), 0)
     assert len({id(observer.group_of(name)) for name in names}) == 1
-    assert [observer.counts(name).used for name in names] == [40] * 4
+    assert [observer.counts(name).used_count for name in names] == [40] * 4
     _, _, told = observer.told[-1]
     assert [told[name] for name in names] == [6.0, 5.0, 7.0, 8.0]

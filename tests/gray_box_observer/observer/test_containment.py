@@ -66,11 +66,13 @@ def fault(monkeypatch: pytest.MonkeyPatch):
 def is_balanced(observer: Observer, motor: str) -> bool:
     counts = observer.counts(motor)
     torque = (
-        counts.used + counts.waiting + counts.refused['torque'].total() == counts.received_torque
+        counts.used_count + counts.waiting_count + counts.refusal_counts['torque'].total()
+        == counts.received_torque
     )
     return (
         torque
-        and counts.taken_voltage + counts.refused['voltage'].total() == counts.received_voltage
+        and counts.taken_voltage + counts.refusal_counts['voltage'].total()
+        == counts.received_voltage
     )
 
 
@@ -100,8 +102,8 @@ def test_what_comes_for_a_stopped_motor_is_counted_as_refused_and_the_books_bala
     assert is_balanced(observer, 'left')
     assert is_balanced(observer, 'right')
     assert counts.received_torque == counts.received_voltage == 100
-    assert counts.used == FAILS_AT + 1
-    assert counts.refused['torque'][Rejection.STOPPED] == 100 - counts.used
+    assert counts.used_count == FAILS_AT + 1
+    assert counts.refusal_counts['torque'][Rejection.STOPPED] == 100 - counts.used_count
     assert Rejection.STOPPED not in observer.counts('left').rejected
 
 
@@ -112,7 +114,7 @@ def test_torque_that_waits_when_its_motor_stops_is_refused(fault):
         observer.torque('motor', k * PERIOD_NS, 0.5)
     fault(observer, 'motor', 'step')
     observer.voltage('motor', FAILS_AT * PERIOD_NS, 5.0)
-    assert observer.counts('motor').waiting == 0
+    assert observer.counts('motor').waiting_count == 0
     assert is_balanced(observer, 'motor')
 
 
@@ -199,7 +201,7 @@ def test_a_restored_state_sets_a_stopped_motor_going_and_it_goes_on_counting(
     assert list(observer.motors) == ['motor']
     counts = observer.counts('motor')
     assert counts.received_torque == 300
-    assert counts.used > 280
+    assert counts.used_count > 280
     assert is_balanced(observer, 'motor')
 
 
@@ -399,9 +401,9 @@ def test_a_message_that_is_too_large_is_refused_unread_and_the_rest_is_used(
         tmp_path / 'bag', [*messages[:100], (topic, stamp_ns + 1, large), *messages[100:]]
     )
     outcome = run([bag], Configuration.from_flat({'max_message_mb': 0.004}), None)
-    assert outcome.message_input.rejected['voltage'] == {Rejection.OVERSIZED: 1}
+    assert outcome.message_input.rejection_counts['voltage'] == {Rejection.OVERSIZED: 1}
     assert (
-        outcome.message_input.received['voltage']
+        outcome.message_input.message_counts['voltage']
         == outcome.observer.counts('motor').received_voltage + 1
     )
-    assert outcome.observer.counts('motor').used == 1000
+    assert outcome.observer.counts('motor').used_count == 1000

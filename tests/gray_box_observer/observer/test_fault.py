@@ -32,7 +32,7 @@ FAULTS = {
 class Untrained:
     """Training that never changes the network that comes with the package."""
 
-    resting, busy, failure = False, False, None
+    is_resting, busy, failure = False, False, None
 
     def __init__(self, _configuration: dict[str, Any]) -> None:
         pass
@@ -118,7 +118,7 @@ def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     results = feed(one, record(excitation, 60.0, 5, torque_noise_relative=0.01))
     alarm = one.motors['motor'].alarm
     assert alarm is not None
-    assert alarm.armed
+    assert alarm.is_armed
     assert not stood(results).any()
 
 

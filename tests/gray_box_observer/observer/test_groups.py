@@ -111,8 +111,8 @@ def test_motors_in_one_message_are_what_each_would_be_alone(
         waits = np.abs(torques[0] - torques[1]) > 1e-5 * np.abs(torques[1]) + 1e-9
         assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
         kept, own = whole.counts(name), single.counts(name)
-        assert (kept.used, kept.received_torque, kept.received_voltage) == (
-            own.used, own.received_torque, own.received_voltage,
+        assert (kept.used_count, kept.received_torque, kept.received_voltage) == (
+            own.used_count, own.received_torque, own.received_voltage,
         )  # fmt: skip
         assert dict(kept.rejected) == dict(own.rejected)
         assert whole.motors[name].counters == single.motors[name].counters
@@ -150,8 +150,8 @@ def test_motors_whose_torque_comes_in_several_messages_are_parted(
             stamp_ns = k * PERIOD_NS + (half is halves[1]) * 1_000_000
             one.ingest('torque', half, stamp_ns, np.array([said[name][1][k] for name in half]))
     assert [group.names for group in one.groups(used)] == list(halves)
-    assert {one.counts(name).used for name in halves[0]} == {100}
-    assert {one.counts(name).used for name in halves[1]} == {
+    assert {one.counts(name).used_count for name in halves[0]} == {100}
+    assert {one.counts(name).used_count for name in halves[1]} == {
         99
     }  # the last one waits for its voltage
     assert sum(one.counts(name).rejected.total() for name in (CALM, STIFF, PLAIN)) == 0
@@ -267,16 +267,19 @@ def test_parting_a_group_forgets_no_message() -> None:
     one.ingest('voltage', names, 3 * PERIOD_NS, np.array([1.0, math.nan, 1e12, 1.0]))
     one.ingest('torque', names, 4 * PERIOD_NS, np.array([math.nan, 0.1, 0.1, 0.1]))
     before = {name: one.counts(name) for name in names}
-    assert before[CHANGED].refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.NON_FINITE: 1}
+    assert before[CHANGED].refusal_counts['voltage'] == {
+        Rejection.DUPLICATE: 1,
+        Rejection.NON_FINITE: 1,
+    }
     one.ingest('voltage', (CALM, CHANGED, GONE), 4 * PERIOD_NS, ones[:3])
     assert [group.names for group in one.groups(names)] == [names[:3], (STIFF,)]
     for name, counts in before.items():
         after, more = one.counts(name), 0 if name == STIFF else 1
         assert after.received_voltage == counts.received_voltage + more == 5 + more
         assert after.received_torque == counts.received_torque == 1
-        assert after.refused == counts.refused
+        assert after.refusal_counts == counts.refusal_counts
         assert after.taken_voltage == counts.taken_voltage + more
-        assert after.waiting + after.used == counts.waiting
+        assert after.waiting_count + after.used_count == counts.waiting_count
 
 
 def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint(
@@ -292,7 +295,7 @@ def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint
             feed(other, said, (name,), k, k + 1)
     for name in names:
         assert other.counts(name).rejected == {}
-        assert other.counts(name).used == 10
+        assert other.counts(name).used_count == 10
 
 
 def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
@@ -335,5 +338,5 @@ def test_a_list_of_very_many_names_is_used_but_not_kept() -> None:
     for stamp_ns in (0, PERIOD_NS):
         for signal in ('voltage', 'torque'):
             one.ingest(signal, names, stamp_ns, np.zeros(len(names)))
-    assert one.counts(CALM).used == 2
+    assert one.counts(CALM).used_count == 2
     assert sys.getrefcount(names) == owners

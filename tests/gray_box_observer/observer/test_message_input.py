@@ -70,7 +70,7 @@ def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
 def test_a_motor_that_is_named_twice_makes_one_message_malformed_and_two_of_nothing() -> None:
     taker, observer = message_input(motors=['a', 'b'])
     assert taker.ingest('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('a').received_torque == 0
 
 
@@ -81,7 +81,7 @@ def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed(
         taker.ingest('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
         taker.ingest('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
         taker.ingest('torque', view(stamp_ns, (), ()), 0)
-    assert observer.counts('a').used == observer.counts('b').used > 0
+    assert observer.counts('a').used_count == observer.counts('b').used_count > 0
 
 
 def test_messages_of_other_motors_are_counted_however_many_names_they_bring() -> None:
@@ -139,7 +139,7 @@ def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_messa
         assert taken.names == (('motor',) if data is good else ())
         if data is not good:
             assert complaint.format(len(data)) in taker.complaints['torque']
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 4}
+    assert taker.rejection_counts['torque'] == {Rejection.MALFORMED: 4}
     assert observer.counts('motor').received_torque == 1
 
 
@@ -156,7 +156,7 @@ def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_messa
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
     taker, observer = message_input()
     assert taker.ingest('torque', message, 0) == (0, (), [])
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 0
 
 
@@ -184,7 +184,7 @@ def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malforme
     taker, observer = message_input(torque__field='data', torque__type='std_msgs/msg/Float64')
     assert taker.ingest('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
     assert taker.ingest('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 1
 
 
@@ -199,7 +199,7 @@ def test_a_header_of_another_form_makes_a_message_malformed(stamp: Any) -> None:
         ).names
         == ()
     )
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert taker.rejection_counts['torque'] == {Rejection.MALFORMED: 1}
 
 
 def test_names_are_found_in_views_and_in_messages_alike() -> None:
@@ -288,7 +288,9 @@ def test_every_message_is_accounted_for() -> None:
                 'torque', view(k * 10_000_000, ('motor',), (math.nan if kind == 1 else 0.1,)), 0
             )
     pairing = observer.counts('motor')
-    malformed = taker.rejected['torque'].total()
+    malformed = taker.rejection_counts['torque'].total()
     assert malformed > 50
     assert pairing.rejected[Rejection.NON_FINITE] > 50
-    assert torques == malformed + pairing.used + pairing.rejected.total() + pairing.waiting
+    assert (
+        torques == malformed + pairing.used_count + pairing.rejected.total() + pairing.waiting_count
+    )

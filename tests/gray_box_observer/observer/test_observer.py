@@ -307,7 +307,7 @@ def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_
         1_400_000_000,
     ):  # the first of them is learnt by patience, without its voltage
         one.torque('motor', stamp, 0.01)
-    assert one.counts('motor').held == 1
+    assert one.counts('motor').held_count == 1
     assert one.forecast_held('motor', 0.1) is None
     without = observer()
     feed(without, recording, 100)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,12 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.speed_choice import CATCH_UP
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
@@ -126,26 +131,150 @@ def samples_of(record: Recording) -> list[Sample]:
     ]
 
 
-def test_a_trial_under_way_goes_on_bit_for_bit_where_it_is_restored() -> None:
+def made() -> MotorObserver:
+    """Return a motor that has learnt nothing, its predictor left out."""
     configuration = Configuration.from_flat(CONSTANTS)
     motors = list(configuration.motors.values())
-    through = motor_observer(configuration, motors, None, speed_measured=False)
-    restored = None
+    return motor_observer(configuration, motors, None, speed_measured=False)
+
+
+def trial_of(motor: MotorObserver) -> dict[str, Any]:
+    """Return what is saved of a trial under way; empty where there is none."""
+    trial: dict[str, Any] = motor.state()[0]['speed'].get('trial', {})
+    return trial
+
+
+def copied(motor: MotorObserver) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    plain, arrays = motor.state()
+    return plain, {name: array.copy() for name, array in arrays.items()}
+
+
+@pytest.mark.slow
+def test_a_trial_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
+    through, restored, pieces = made(), [], set()
     for sample in samples_of(recorded(GEAR_MOTOR, LIVELY, 1.5, 1)):
         through.step(sample)
-        if restored is not None:
-            restored.step(sample)
-            continue
-        plain, arrays = through.state()
-        if plain['speed'].get('trial', {}).get('pieces', 0) > 5:
-            restored = motor_observer(configuration, motors, None, speed_measured=False)
-            restored.restore(plain, {name: array.copy() for name, array in arrays.items()})
-    assert restored is not None, 'no trial took more than a sample'
-    assert through.white_box.speed_source == restored.white_box.speed_source == 'rotor'
-    one, other = through.estimate(), restored.estimate()
-    assert one.value.tobytes() == other.value.tobytes()
-    assert one.covariance.tobytes() == other.covariance.tobytes()
-    assert through.state()[0]['speed'] == restored.state()[0]['speed']
+        for other in restored:
+            other.step(sample)
+        done = trial_of(through).get('pieces', 0)
+        if done and done not in pieces and (not pieces or done > max(pieces) + 20):
+            pieces.add(done)
+            restored.append(made())
+            restored[-1].restore(*copied(through))
+    assert len(restored) > 2, 'no trial took more than a few samples'
+    assert through.white_box.speed_source == 'rotor'
+    one = through.estimate()
+    for motor in restored:
+        other = motor.estimate()
+        assert one.value.tobytes() == other.value.tobytes()
+        assert one.covariance.tobytes() == other.covariance.tobytes()
+        assert through.state()[0]['speed'] == motor.state()[0]['speed']
+
+
+def with_trial(plain: dict[str, Any], name: str, value: float) -> dict[str, Any]:
+    """Return a saved motor of whose trial something else was saved."""
+    trial = {**plain['speed']['trial'], name: value}
+    return {**plain, 'speed': {**plain['speed'], 'trial': trial}}
+
+
+@pytest.fixture(scope='module')
+def in_trial() -> MotorObserver:
+    """A motor in the middle of a trial."""
+    motor = made()
+    for sample in samples_of(recorded(GEAR_MOTOR, LIVELY, 1.5, 1)):
+        motor.step(sample)
+        if trial_of(motor).get('pieces', 0) > 5:
+            return motor
+    raise AssertionError('no trial took more than a sample')
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'why'),
+    [
+        ('pieces', 90_000, 'has not 90000 pieces'),
+        ('before_a', -1.0, 'before_a'),
+        ('samples', 4000, 'trial holds'),
+        ('samples', 2, 'no trial begins with'),
+        ('backlog', 20_000, 'backlog holds'),
+    ],
+)
+def test_a_trial_that_could_not_have_been_is_refused_when_it_is_loaded(
+    in_trial: MotorObserver, name: str, value: float, why: str
+) -> None:
+    plain, arrays = copied(in_trial)
+    if name == 'samples':
+        arrays['speed/trial'] = np.tile(arrays['speed/trial'], 20)[:, :, : int(value)]
+    elif name == 'backlog':
+        arrays['speed/backlog'] = np.zeros((4, 1, int(value)))
+    else:
+        plain = with_trial(plain, name, value)
+    with pytest.raises(CheckpointError, match=why):
+        made().restore(plain, arrays)
+
+
+def test_a_trial_is_judged_by_what_was_compared_when_it_began(in_trial: MotorObserver) -> None:
+    plain, arrays = copied(in_trial)
+    ends = []
+    for share in (1.0, 1.0, 0.01):
+        motor = made()
+        before_a = share * plain['speed']['trial']['before_a']
+        motor.restore(with_trial(plain, 'before_a', before_a), arrays)
+        motor.finish()
+        ends.append((motor.white_box.speed_source, motor.speed_choice.reason))
+    assert ends[0] == ends[1]
+    assert ends[0][0] == 'rotor'
+    assert ends[2][0] == 'torque_constant'
+    assert 'hardly better' in ends[2][1]
+
+
+def test_a_form_that_is_not_adopted_leaves_no_reason(in_trial: MotorObserver) -> None:
+    motor = made()
+    motor.restore(*copied(in_trial))
+    choice, nodes = motor.speed_choice, motor.context_nodes
+    assert choice.finish(nodes, FitAssessment(FitVerdict.OK, 1.0, 1.0, ()), 0) is None
+    assert choice.source == 'torque_constant'
+    assert 'nothing in the data speaks against' in choice.state(0)[0]['reason']
+    assert choice.state(0)[0]['refusal'] == ''
+
+
+def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver) -> None:
+    motor = made()
+    plain, arrays = copied(in_trial)
+    arrays['speed/backlog'] = np.tile(arrays['nodes/replay'][:, :, -200:], (1, 1, 10))
+    motor.restore(plain, arrays)
+    work, taken = motor.speed_choice._work, 0
+    assert work is not None
+    trial = motor.speed_choice._trial
+    assert trial is not None
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            form = end.value.form
+            break
+        assert (trial.taken or 0) - taken <= CATCH_UP
+        taken = trial.taken or 0
+    assert form is not None
+    assert len(trial.backlog) - CATCH_UP <= taken <= len(trial.backlog)
+
+
+def test_at_the_end_of_a_short_record_a_trial_is_finished() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 1.5, 1)
+    observer = Observer(Configuration.from_flat(CONSTANTS))
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        observer.torque('motor', stamp, float(record.torque_nm[0, k]))
+        if k % 20 == 0 and 'motor' in observer.motors:
+            trial = trial_of(observer.motors['motor'].observer)
+            if trial:
+                break
+    motor = observer.motors['motor']
+    assert motor.white_box.speed_source == 'torque_constant'
+    assert 'too few samples have come' in motor.speed_reason
+    observer.flush()
+    observer.finish()
+    assert observer.motors['motor'].white_box.speed_source == 'rotor'
+    assert observer.estimates()['motor'].value[0, 1] == pytest.approx(2.0, rel=0.1)
 
 
 def test_the_choice_does_not_depend_on_when_deferred_work_is_done() -> None:

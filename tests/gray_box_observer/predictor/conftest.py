@@ -21,7 +21,7 @@ THETA = {
 class Idle:
     """Training that takes every job and never ends one."""
 
-    resting = False
+    is_resting = False
     failure = None
 
     def __init__(self) -> None:

@@ -64,7 +64,7 @@ def test_the_default_keeps_still_for_hours_of_white_noise() -> None:
 def test_a_shift_of_three_standard_deviations_is_found_within_ten_samples(sign: float) -> None:
     alarm = ResidualAlarm(20)
     watch(alarm, noise(3000, 20, 3))
-    assert not np.any(alarm.raised)
+    assert not np.any(alarm.is_raised)
     after = watch(alarm, noise(40, 20, 4) + sign * 3.0 * SPREAD_NM)
     found = np.argmax(after, axis=0)
     assert np.all(after[-1])
@@ -90,7 +90,7 @@ def test_single_outliers_raise_nothing() -> None:
 def test_nothing_is_judged_before_the_parameters_are_identified() -> None:
     alarm = ResidualAlarm(1)
     watch(alarm, 100.0 * noise(3000, 1, 9), identified=False)
-    assert not alarm.armed[0]
+    assert not alarm.is_armed[0]
     assert np.isnan(alarm.spread[0])
     assert alarm.count[0] == 0
 

@@ -316,7 +316,7 @@ def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
 class Told:
     """Training that answers every job at once with what it was told to say."""
 
-    resting = False
+    is_resting = False
     failure = None
 
     def __init__(self, **answer: Any) -> None:

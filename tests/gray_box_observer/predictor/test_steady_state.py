@@ -94,8 +94,8 @@ def test_the_chord_becomes_the_slope_where_it_ends(box: MotorWhiteBox, theta: li
         far = gap(box, theta, voltage, state) / theta[0] / (way.steady_a - state)
         assert chord(Floats, box, way, state) == pytest.approx(max(far, 1e-12), rel=1e-9)
         near = way.steady_a * (1.0 + 1e-5) + 1e-9
-        assert chord(Floats, box, way, near) == pytest.approx(way.settling, rel=1e-2, abs=1e-8)
-        assert chord(Floats, box, way, way.steady_a) == max(way.settling, 1e-12)
+        assert chord(Floats, box, way, near) == pytest.approx(way.decay_rate, rel=1e-2, abs=1e-8)
+        assert chord(Floats, box, way, way.steady_a) == max(way.decay_rate, 1e-12)
 
 
 @pytest.mark.parametrize('interval_s', [1e-4, 0.01, 0.3, 2.0, 40.0])
@@ -133,7 +133,7 @@ def test_whatever_the_network_says_both_limits_are_those_of_the_physics(
 ) -> None:
     for voltage, start in CASES:
         way = lead(box, theta, voltage)
-        if way.settling < 1e-6:
+        if way.decay_rate < 1e-6:
             continue  # without resistance it settles nowhere, or never
         distance = start - way.steady_a
         short = relaxation(Floats, box, way, start, 1e-6)

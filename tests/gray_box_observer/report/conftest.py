@@ -83,7 +83,7 @@ def synthetic_motor(
             parameter('resistance', time_s, rng, step),
             parameter('hysteresis', time_s, rng, None, start=0.3),
         ),
-        rejected={'non_finite': 3, 'out_of_order': 14, 'outlier': 41, 'duplicate': 0},
+        rejection_counts={'non_finite': 3, 'out_of_order': 14, 'outlier': 41, 'duplicate': 0},
         rejected_time_s={
             'non_finite': np.array([3.0, 3.1, 40.0]),
             'out_of_order': np.sort(rng.uniform(0.0, duration_s, 14)),
@@ -106,7 +106,7 @@ def synthetic_run(*motors: MotorHistory) -> RunHistory:
     return RunHistory(
         title='Thesis motor, R[5,15]D[1,6]',
         source=('bags/thesis_motor',),
-        created='2025-01-02T03:04:05+00:00',
+        creation_time='2025-01-02T03:04:05+00:00',
         motors=motors or (synthetic_motor(),),
         summary={'samples': 1500, 'duration_s': 60.0, 'sample_rate_hz': 25.0, 'note': 'synthetic'},
         command='ros2 run gray_box_observer identify bags/thesis_motor --report report.html',

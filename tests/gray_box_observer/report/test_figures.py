@@ -117,7 +117,7 @@ def test_rejected_samples_have_a_bar_by_reason_and_a_mark_for_each_time(make_mot
     assert len(marks['x']) == 58
     assert (
         rejection_figure(
-            dataclasses.replace(make_motor(), rejected={'late': 0}, rejected_time_s={})
+            dataclasses.replace(make_motor(), rejection_counts={'late': 0}, rejected_time_s={})
         )
         is None
     )
@@ -125,7 +125,7 @@ def test_rejected_samples_have_a_bar_by_reason_and_a_mark_for_each_time(make_mot
 
 def test_rejected_samples_without_a_time_are_told(make_motor):
     figure = rejection_figure(
-        dataclasses.replace(make_motor(), rejected={'late': 7}, rejected_time_s={})
+        dataclasses.replace(make_motor(), rejection_counts={'late': 7}, rejected_time_s={})
     )
     assert figure.data[0]['x'] == [7]
     assert '7 rejected samples have no time' in figure.caption

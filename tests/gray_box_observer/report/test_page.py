@@ -131,7 +131,7 @@ def test_names_from_outside_stay_text(make_motor, make_run):
             dataclasses.replace(p, name=EVIL, unit=EVIL, verdict=[EVIL] * 200)
             for p in motor.parameters
         ),
-        rejected={EVIL: 3},
+        rejection_counts={EVIL: 3},
         rejected_time_s={EVIL: np.array([1.0])},
         scores={EVIL: 0.5},
         notes=(EVIL,),
@@ -141,7 +141,7 @@ def test_names_from_outside_stay_text(make_motor, make_run):
         make_run(evil, evil),
         title=EVIL,
         source=(EVIL,),
-        created=EVIL,
+        creation_time=EVIL,
         command=EVIL,
         digest=EVIL,
         summary={EVIL: EVIL},
@@ -169,7 +169,9 @@ def test_json_in_a_script_element_cannot_end_it_and_reads_back():
 def test_a_run_without_motors_samples_or_estimates_still_has_a_page(make_run):
     none = np.empty(0)
     parameter = ParameterHistory('inductance', 'H', none, none, none, [])
-    empty = MotorHistory('m', none, none, none, none, none, (parameter,), rejected={'late': 0})
+    empty = MotorHistory(
+        'm', none, none, none, none, none, (parameter,), rejection_counts={'late': 0}
+    )
     text = ' '.join(Elements(render(make_run(empty))).words)
     assert 'No estimate was made.' in text
     assert 'No sample was used.' in text

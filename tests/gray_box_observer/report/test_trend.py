@@ -133,7 +133,7 @@ def test_the_page_tells_the_latest_identified_estimate_and_how_many_there_are() 
     )
     page = render_trends(
         archive(
-            MotorTrend('left', (found,)), failed={'/archive/<x>': 'no message'}, digest='9f' * 32
+            MotorTrend('left', (found,)), failures={'/archive/<x>': 'no message'}, digest='9f' * 32
         )
     )
     for text in (
@@ -150,7 +150,7 @@ def test_the_page_tells_the_latest_identified_estimate_and_how_many_there_are() 
 
 
 def test_an_archive_without_any_result_still_has_a_page() -> None:
-    page = render_trends(archive(failed={f'/archive/{k}': 'no message' for k in range(300)}))
+    page = render_trends(archive(failures={f'/archive/{k}': 'no message' for k in range(300)}))
     assert 'No bag of this archive gave an estimate.' in page
     assert 'And 100 more' in page
 

@@ -57,7 +57,7 @@ def test_a_value_ends_at_the_second_digit_of_its_deviation(value, std, written):
 
 def test_a_fraction_becomes_a_percentage_of_two_digits_with_a_true_minus():
     assert percent(0.00123) == '0.12\N{NO-BREAK SPACE}%'
-    assert percent(-0.00123, signed=True) == '\N{MINUS SIGN}0.12\N{NO-BREAK SPACE}%'
+    assert percent(-0.00123, has_sign=True) == '\N{MINUS SIGN}0.12\N{NO-BREAK SPACE}%'
     assert percent(math.inf) == 'not known'
 
 

@@ -253,7 +253,7 @@ def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_t
     for _ in range(6):
         one._inputs._subscriptions['torque'].callback(data)
     assert sorted(done) == sorted(2 * list(tasks))
-    assert one._message_input.received['torque'] == 6
+    assert one._message_input.message_counts['torque'] == 6
 
 
 def test_reset_publishes_at_once_what_is_known_then(rig, record):

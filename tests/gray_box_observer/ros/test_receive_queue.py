@@ -178,7 +178,7 @@ def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatc
     path = tmp_path / 'c.safetensors'
     keeper = CheckpointKeeper(CheckpointFolder('', str(path), tmp_path), str(path), automatic=True)
     memory = ReceiveMemory(lambda: keeper.thread_numbers)
-    counts = SimpleNamespace(used=1)
+    counts = SimpleNamespace(used_count=1)
     observer = SimpleNamespace(
         motors=['motor'], counts=lambda _: counts, configuration=SimpleNamespace(motors=['motor'])
     )

@@ -76,9 +76,9 @@ def test_the_order_of_arrival_does_not_change_the_samples(arrival: str) -> None:
 def test_torque_waits_for_a_voltage_that_is_stamped_at_or_after_it() -> None:
     pairing = Pairing()
     assert feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('t', 10, 0.1)])[1:] == []
-    assert pairing.waiting == 1
+    assert pairing.waiting_count == 1
     assert content(feed(pairing, [('v', 10, 6.0)])) == [(10 * MS, 0.01, 5.0, 0.1)]
-    assert pairing.waiting == 0
+    assert pairing.waiting_count == 0
 
 
 def test_a_voltage_that_changes_inside_the_interval_counts_for_its_share_of_it() -> None:
@@ -108,7 +108,7 @@ def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> N
     samples = feed(pairing, [('v', 0, 3.0), *(('t', 10 * k, 0.1 * k) for k in range(10))])
     assert [s.stamp_ns // MS for s in samples] == [0, 10, 20, 30, 40]
     assert all(s.voltage_v[0] == 3.0 for s in samples[1:])
-    assert pairing.waiting == 5
+    assert pairing.waiting_count == 5
     late = feed(
         pairing, [('v', 55, 7.0)]
     )  # within patience: the change still lands where it belongs
@@ -156,7 +156,7 @@ def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(
         if s not in begins and s.stamp_ns in expected
     )
     assert pairing.rejected == ({Rejection.NO_VOLTAGE: back_ms // 10} if back_ms else {})
-    assert pairing.received_torque == pairing.used + pairing.rejected.total()
+    assert pairing.received_torque == pairing.used_count + pairing.rejected.total()
 
 
 def test_a_voltage_that_comes_when_it_changes_is_in_force_until_it_does() -> None:
@@ -203,7 +203,7 @@ def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_
     assert all(12_000 < at <= 12_200 for at in wrong), 'what is not yet overdue is taken to hold on'
     assert len([s for s in samples if s.interval_s[0] == 0.0]) == 2
     assert pairing.rejected[Rejection.NO_VOLTAGE] > 50
-    assert pairing.received_torque == pairing.used + pairing.refused['torque'].total()
+    assert pairing.received_torque == pairing.used_count + pairing.refusal_counts['torque'].total()
 
 
 @pytest.mark.parametrize('ahead_ms', [0, 900])
@@ -228,7 +228,7 @@ def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows
         unknown = [at for _, at, _ in torques if overdue_ms < at < back_ms]
         assert refused in ((unknown, unknown[1:]) if count >= 1021 else ([],))
         assert pairing.rejected == ({Rejection.NO_VOLTAGE: len(refused)} if refused else {})
-        assert pairing.received_torque == pairing.used + pairing.rejected.total()
+        assert pairing.received_torque == pairing.used_count + pairing.rejected.total()
         begins = [s.stamp_ns // MS for s in samples if s.interval_s[0] == 0.0]
         assert begins == ([0, back_ms] if refused else [0])
 
@@ -244,7 +244,7 @@ def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_ac
         + pairing.flush()
     )
     assert all(math.isfinite(value) for sample in content(samples) for value in sample)
-    assert pairing.received_torque == pairing.used + pairing.rejected.total()
+    assert pairing.received_torque == pairing.used_count + pairing.rejected.total()
 
 
 @pytest.mark.parametrize('every', [1, 3])
@@ -266,9 +266,9 @@ def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every
         counts = pairing.counts_for(motor)
         assert (
             counts.received_torque
-            == counts.used + counts.refused['torque'].total() + counts.waiting
+            == counts.used_count + counts.refusal_counts['torque'].total() + counts.waiting_count
         )
-    assert pairing.counts_for(0).refused['torque'][Rejection.NO_VOLTAGE] > 100
+    assert pairing.counts_for(0).refusal_counts['torque'][Rejection.NO_VOLTAGE] > 100
     assert pairing.counts_for(1).rejected == {}
 
 
@@ -438,8 +438,8 @@ def test_what_is_refused_is_told_by_the_signal_it_was_of() -> None:
             ('v', 30, 5.0),
         ],
     )
-    assert pairing.refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.ABSURD: 1}
-    assert pairing.refused['torque'] == {Rejection.NON_FINITE: 1}
+    assert pairing.refusal_counts['voltage'] == {Rejection.DUPLICATE: 1, Rejection.ABSURD: 1}
+    assert pairing.refusal_counts['torque'] == {Rejection.NON_FINITE: 1}
     assert pairing.rejected.total() == 3
     assert (pairing.received_voltage, pairing.taken_voltage) == (4, 2)
 
@@ -458,9 +458,12 @@ def test_everything_received_is_used_or_rejected_or_waits() -> None:
         voltage_rejections = pairing.rejected.total()
         produced += len(pairing.torque(max(stamp - late, 0), value))
         assert pairing.rejected.total() - voltage_rejections <= 20
-        assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
+        assert (
+            pairing.received_torque
+            == pairing.used_count + pairing.rejected.total() + pairing.waiting_count
+        )
         assert pairing.received_voltage == pairing.taken_voltage
-    assert produced == pairing.used
+    assert produced == pairing.used_count
     assert pairing.restarts > 10
     assert {
         Rejection.NON_FINITE,
@@ -469,7 +472,7 @@ def test_everything_received_is_used_or_rejected_or_waits() -> None:
         Rejection.NO_VOLTAGE,
     } <= set(pairing.rejected)
     produced += len(pairing.flush())
-    assert pairing.waiting == 0
+    assert pairing.waiting_count == 0
     assert pairing.received_torque == produced + pairing.rejected.total()
 
 
@@ -572,7 +575,10 @@ def test_pairing_anew_makes_the_samples_that_the_delay_would_have_made_from_the_
     assert [s.stamp_ns for s in before + new] == [
         at * MS for _, at, _ in torques if at * MS >= before[0].stamp_ns
     ]
-    assert changed.received_torque == changed.used + changed.rejected.total() + changed.waiting
+    assert (
+        changed.received_torque
+        == changed.used_count + changed.rejected.total() + changed.waiting_count
+    )
     assert changed.received_voltage == 80
 
 
@@ -609,16 +615,19 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
             assert counts.received_torque == told['t'][motor]
             assert (
                 counts.received_torque
-                == counts.used + counts.refused['torque'].total() + counts.waiting
+                == counts.used_count
+                + counts.refusal_counts['torque'].total()
+                + counts.waiting_count
             )
             assert counts.received_voltage == told['v'][motor]
             assert (
-                counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
+                counts.received_voltage
+                == counts.taken_voltage + counts.refusal_counts['voltage'].total()
             )
     assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(
         pairing.counts_for(0).rejected
     )
-    assert pairing.counts_for(0).used > 500
+    assert pairing.counts_for(0).used_count > 500
 
 
 def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> None:
@@ -662,6 +671,6 @@ def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_
     assert [s.stamp_ns // MS for s in mine if s.interval_s[0] == 0.0] == [0, 13_000]
     assert [s.stamp_ns // MS for s in expected if s.interval_s[0] == 0.0] == [0, 13_000]
     assert abs(len(mine) - len(expected)) <= 2
-    assert group.counts_for(0).refused['torque'][Rejection.NO_VOLTAGE] > 70
+    assert group.counts_for(0).refusal_counts['torque'][Rejection.NO_VOLTAGE] > 70
     assert group.counts_for(1).rejected == {}
-    assert group.counts_for(1).used == 1400
+    assert group.counts_for(1).used_count == 1400

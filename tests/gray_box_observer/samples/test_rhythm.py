@@ -15,7 +15,7 @@ def after(intervals: np.ndarray) -> Rhythm:
 
 def test_regular_samples_are_all_there() -> None:
     rhythm = after(np.full(1000, 0.01))
-    assert (rhythm.missing, rhythm.pauses) == (0, 0)
+    assert (rhythm.missing_count, rhythm.pauses) == (0, 0)
     assert rhythm.usual_s == pytest.approx(0.01, rel=0.03)
 
 
@@ -24,23 +24,23 @@ def test_every_sample_that_was_dropped_is_missing() -> None:
     stamps = np.arange(20000)[
         np.concatenate([np.ones(LEARNT + 1, dtype=bool), random.random(20000 - LEARNT - 1) > 0.1])
     ]
-    assert after(0.01 * np.diff(stamps)).missing == stamps[-1] + 1 - stamps.size
+    assert after(0.01 * np.diff(stamps)).missing_count == stamps[-1] + 1 - stamps.size
 
 
 def test_jitter_of_a_third_of_an_interval_loses_nothing() -> None:
     stamps = np.arange(5000) + np.random.default_rng(6).uniform(-0.3, 0.3, 5000)
-    assert after(np.diff(stamps)).missing == 0
+    assert after(np.diff(stamps)).missing_count == 0
 
 
 def test_a_new_signal_history_is_a_pause_and_nothing_missing() -> None:
     rhythm = after(np.concatenate([np.full(100, 0.01), [0.0], np.full(100, 0.01), [0.0]]))
-    assert (rhythm.missing, rhythm.pauses) == (0, 2)
+    assert (rhythm.missing_count, rhythm.pauses) == (0, 2)
 
 
 def test_another_rate_becomes_the_usual_one() -> None:
     rhythm = after(np.concatenate([np.full(1000, 0.001), np.full(1000, 0.01)]))
     assert rhythm.usual_s == pytest.approx(0.01, rel=0.03)
-    before = rhythm.missing
+    before = rhythm.missing_count
     for _ in range(1000):
         rhythm.update(0.01)
-    assert rhythm.missing == before
+    assert rhythm.missing_count == before

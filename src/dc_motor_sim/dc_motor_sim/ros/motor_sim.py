@@ -115,25 +115,27 @@ class MotorSim(Node):
             self.create_timer(MIRROR_PERIOD_S, self.mirror_schedule, clock=steady)
         self._log_start(settings)
 
-    def close(self, hurried: Callable[[], bool]) -> None:
+    def close(self, is_hurried: Callable[[], bool]) -> None:
         """Wait until every subscriber has acknowledged what was published, but not for long.
 
         Args:
-            hurried: Whether somebody does not want to wait any longer.
+            is_hurried: Whether somebody does not want to wait any longer.
         """
         began_s = time.monotonic()
         is_delay_reported = False
-        unconfirmed = [self._voltage_publisher, self._torque_publisher]
+        unconfirmed_publishers = [self._voltage_publisher, self._torque_publisher]
         while True:
             patience = Duration(seconds=ACKNOWLEDGE_SLICE_S)
-            unconfirmed = [
-                publisher for publisher in unconfirmed if not publisher.wait_for_all_acked(patience)
+            unconfirmed_publishers = [
+                publisher
+                for publisher in unconfirmed_publishers
+                if not publisher.wait_for_all_acked(patience)
             ]
-            if not unconfirmed:
+            if not unconfirmed_publishers:
                 break
-            names = ', '.join(publisher.topic_name for publisher in unconfirmed)
+            names = ', '.join(publisher.topic_name for publisher in unconfirmed_publishers)
             waited_s = time.monotonic() - began_s
-            if hurried() or waited_s > ACKNOWLEDGE_TIMEOUT_S:
+            if is_hurried() or waited_s > ACKNOWLEDGE_TIMEOUT_S:
                 self.get_logger().warning(
                     f'{names}: not acknowledged by every subscriber within {waited_s:.1f} s'
                 )
@@ -327,14 +329,16 @@ def main(args: Sequence[str] | None = None) -> int:
     asked_s: list[float] = []
 
     # rclpy's own handlers would shut the context down under the last samples.
-    handled = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    for number in handled:
+    signal_numbers = [
+        number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+    ]
+    for number in signal_numbers:
         signal.signal(number, lambda *_: asked_s.append(time.monotonic()))
     try:
         return _run(argv, asked_s)
     finally:
         for number in (
-            handled
+            signal_numbers
         ):  # a second interrupt, as of a terminal and of launch, must not kill what is done
             signal.signal(number, signal.SIG_IGN)
 

@@ -304,11 +304,11 @@ class BagFiles:
     def _unpacked_file(self, path: Path, stream: BinaryIO) -> BinaryIO:
         """The content of a file that rosbag2 has packed as a whole."""
         with stream:
-            unpacked, complaint = packed.unpack_file(path, stream, self.limits)
+            unpacked_stream, complaint = packed.unpack_file(path, stream, self.limits)
         if complaint:
-            self._losses.damage(path, unpacked.seek(0, io.SEEK_END), 0, complaint)
-            unpacked.seek(0)
-        return unpacked
+            self._losses.damage(path, unpacked_stream.seek(0, io.SEEK_END), 0, complaint)
+            unpacked_stream.seek(0)
+        return unpacked_stream
 
     def _open_files(self, listed_files: Collection[ListedFile]) -> list[BagFile]:
         """Look at every file; an unusable one is left out, as long as another is usable."""

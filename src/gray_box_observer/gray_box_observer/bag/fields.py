@@ -128,11 +128,11 @@ class FieldPath:
 
     def _complaint(self, message: Any) -> SampleError:
         """Walk again, slowly, to say where the path leaves the message."""
-        value, walked = message, type(message).__name__
+        value, path = message, type(message).__name__
         for step in self._steps:
             if isinstance(step, ByName):
                 return MissingFieldError(
-                    f'{walked} has no entries with names, so there is no [{step.name}] (field '
+                    f'{path} has no entries with names, so there is no [{step.name}] (field '
                     f'{self.text!r})'
                 )
             if isinstance(step, int):
@@ -140,24 +140,24 @@ class FieldPath:
                     value = value[step]
                 except (IndexError, KeyError):
                     return SampleError(
-                        f'{walked} has {len(value)} values, so there is no [{step}] (field '
+                        f'{path} has {len(value)} values, so there is no [{step}] (field '
                         f'{self.text!r})'
                     )
                 except TypeError:
                     return MissingFieldError(
-                        f'{walked} is a single value, so there is no [{step}] (field {self.text!r})'
+                        f'{path} is a single value, so there is no [{step}] (field {self.text!r})'
                     )
-                walked += f'[{step}]'
+                path += f'[{step}]'
                 continue
             if not hasattr(value, step):
                 fields = field_names(value)
                 alternatives = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
                 return MissingFieldError(
-                    f'{walked} has no field {step!r}; {alternatives} (field {self.text!r})'
+                    f'{path} has no field {step!r}; {alternatives} (field {self.text!r})'
                 )
             value = getattr(value, step)
-            walked += f'.{step}'
-        return SampleError(f'{walked} cannot be read (field {self.text!r})')
+            path += f'.{step}'
+        return SampleError(f'{path} cannot be read (field {self.text!r})')
 
 
 def _followed(message: Any, steps: Sequence[Step], root: Any) -> Any:

@@ -231,8 +231,8 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
 
 def _as_it_lies(path: Path) -> Path:
     """The path of a listed file, or that of what it was unpacked to where only that is left."""
-    unpacked = path.with_name(path.name.removesuffix(packed.SUFFIX))
-    return path if path.is_file() or not unpacked.is_file() else unpacked
+    unpacked_path = path.with_name(path.name.removesuffix(packed.SUFFIX))
+    return path if path.is_file() or not unpacked_path.is_file() else unpacked_path
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
@@ -306,9 +306,9 @@ def _information(
     custom_data: Mapping[str, str] | None,
 ) -> dict[str, Any]:
     """What the metadata say, without the lists of files."""
-    filled = [file for file in files if file.message_count]
-    start_ns = min((file.start_ns for file in filled), default=_NEVER_NS)
-    end_ns = max((file.end_ns for file in filled), default=_NEVER_NS)
+    nonempty_files = [file for file in files if file.message_count]
+    start_ns = min((file.start_ns for file in nonempty_files), default=_NEVER_NS)
+    end_ns = max((file.end_ns for file in nonempty_files), default=_NEVER_NS)
     return {
         'version': METADATA_VERSION,
         'storage_identifier': 'mcap',

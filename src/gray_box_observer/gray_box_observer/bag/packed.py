@@ -57,29 +57,28 @@ def unpack_file(path: Path, stream: BinaryIO, limits: ReadLimits) -> tuple[Binar
     stream.seek(0)
     head = stream.read(_LONGEST_HEAD_BYTES)
     stream.seek(0)
-    unpacked, complaint = io.BytesIO(), ''
+    content, complaint = io.BytesIO(), ''
     try:
         claimed_bytes = max(zstandard.frame_content_size(head), 0)  # -1: the head does not tell
         check_size(max(claimed_bytes, packed_bytes), packed_bytes, limits)
         window = min(max(limits.chunk_bytes, _SMALLEST_WINDOW_BYTES), _LARGEST_WINDOW_BYTES)
         reader = zstandard.ZstdDecompressor(max_window_size=window).stream_reader(stream)
         while piece := reader.read(_STEP_BYTES):
-            unpacked.write(piece)
-            check_size(unpacked.tell(), packed_bytes, limits)
-        if unpacked.tell() < claimed_bytes:
-            complaint = (
-                f'the packed file is cut: {unpacked.tell()} of {claimed_bytes} bytes are there'
-            )
+            content.write(piece)
+            check_size(content.tell(), packed_bytes, limits)
+        if content.tell() < claimed_bytes:
+            sizes = f'{content.tell()} of {claimed_bytes}'
+            complaint = f'the packed file is cut: {sizes} bytes are there'
     except TooLarge as error:
         raise BagError(
             f'{path} is packed as a whole: {error}; or unpack it first: unzstd --rm {path}'
         ) from None
     except zstandard.ZstdError as error:
-        complaint = f'the packed file is damaged after {unpacked.tell()} bytes ({error})'
-    if not unpacked.tell():
+        complaint = f'the packed file is damaged after {content.tell()} bytes ({error})'
+    if not content.tell():
         raise BagError(f'{path}: {complaint or "the packed file is empty"}')
-    unpacked.seek(0)
-    return unpacked, complaint
+    content.seek(0)
+    return content, complaint
 
 
 def unpack_messages(

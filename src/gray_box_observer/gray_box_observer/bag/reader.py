@@ -126,8 +126,8 @@ class BagReader:
             messages.sort(key=_LOG_TIME)
             if messages and messages[0].log_time_ns < earliest:
                 messages = messages[bisect_left(messages, earliest, key=_LOG_TIME) :]
-            following = index + 1
-            limit = pieces[following][0].start_ns if following < len(pieces) else None
+            next_index = index + 1
+            limit = pieces[next_index][0].start_ns if next_index < len(pieces) else None
             if (
                 messages
                 and not later_messages.parts

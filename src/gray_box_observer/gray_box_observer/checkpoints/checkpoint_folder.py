@@ -44,7 +44,7 @@ class CheckpointFolder:
         self.folder = Path(
             os.path.normpath(folder_path.absolute())
         )  # as it was given: no link is followed
-        self._trusted = None if folder else path
+        self._configured_path = None if folder else path
         self.file(path)
 
     def file(self, path: str) -> Path:
@@ -57,7 +57,7 @@ class CheckpointFolder:
         requested_file = Path(path)
         if not requested_file.name or not path.isprintable():
             raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
-        if requested_file.is_absolute() and path == self._trusted:
+        if requested_file.is_absolute() and path == self._configured_path:
             _check_name(path, (requested_file.name,))
             return requested_file
         if len(requested_file.parts) > MOST_PARTS or any(

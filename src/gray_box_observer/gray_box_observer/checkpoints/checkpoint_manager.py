@@ -69,7 +69,9 @@ class CheckpointKeeper:
         """Bring the file up to date if needed, without waiting; errors are in :attr:`failure`."""
         if not self.automatic or observer is None or not observer.motors:
             return
-        used_count = sum(observer.counts(motor).used for motor in observer.configuration.motors)
+        used_count = sum(
+            observer.counts(motor).used_count for motor in observer.configuration.motors
+        )
         if used_count == self._saved_sample_count and self.failure is None:
             return
         try:

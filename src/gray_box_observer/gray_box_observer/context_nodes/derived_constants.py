@@ -78,16 +78,16 @@ def derived_constants(white_box: MotorWhiteBox, estimate: Estimate) -> list[Deri
     names = list(NEEDED) if 'inertia' in nodes else list(OF_NO_ROTOR)
     constants = []
     for name in names:
-        needed = NEEDED[name]
+        needed_nodes = NEEDED[name]
         optional = 'viscous_friction'
-        if any(part not in values and part != optional for part in needed):
+        if any(part not in values and part != optional for part in needed_nodes):
             continue
         value, slopes = _with_slopes(name, values, float(white_box.torque_constant))
         row: Array = np.array([slopes.get(node, 0.0) for node in nodes])
         variance = float(row @ estimate.covariance[0] @ row)
         std = float(np.sqrt(variance)) if variance >= 0.0 else float('nan')
         own = [verdict for node, verdict in zip(nodes, estimate.verdicts[0], strict=True)
-               if node in needed]  # fmt: skip
+               if node in needed_nodes]  # fmt: skip
         constants.append(DerivedConstant(name, value, std, UNITS[name], _least(own)))
     return constants
 

@@ -123,9 +123,9 @@ def spread_of_values(value: Array, covariance: Array) -> Array:
     spread = np.sqrt(np.maximum(variance, 0.0))
     beyond = np.clip(spread, LOG_NORMAL, WIDEST)
     spread += np.expm1(beyond) - np.expm1(LOG_NORMAL) - (beyond - LOG_NORMAL)
-    widened = covariance.copy()
-    widened[wide] = (axes * spread[:, None, :] ** 2) @ np.swapaxes(axes, 1, 2) * unit
-    return widened
+    wide_covariance = covariance.copy()
+    wide_covariance[wide] = (axes * spread[:, None, :] ** 2) @ np.swapaxes(axes, 1, 2) * unit
+    return wide_covariance
 
 
 def bounded(value: Array, covariance: Array) -> Array:
@@ -162,7 +162,7 @@ class VerdictSettings:
         value: Array,
         std: Array,
         *,
-        frozen: bool = False,
+        is_frozen: bool = False,
         most: Array | None = None,
     ) -> tuple[tuple[Verdict, ...], ...]:
         """Judge every parameter of every motor.
@@ -171,11 +171,11 @@ class VerdictSettings:
             parameters: what the columns are.
             value: shape (motor, parameter).
             std: likewise, their standard deviations.
-            frozen: whether nothing is learnt.
+            is_frozen: whether nothing is learnt.
             most: likewise, the share of the voltage that each takes at most; infinite where that is
                 not known.
         """
-        if frozen:
+        if is_frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
         lower, upper = bounds(parameters)
         at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (

@@ -113,7 +113,7 @@ class GradientUpdate:
         self._covariance = self._prior_covariance()
         self._new = 0
         self._stamp_ns = 0
-        self._frozen = False
+        self._is_frozen = False
         self._resumes = False
 
     @property
@@ -140,25 +140,25 @@ class GradientUpdate:
         nothing = np.zeros(len(self._white_box.parameters))
         return nothing, nothing
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
-        if frozen == self._frozen:
+        if is_frozen == self._is_frozen:
             return
-        self._frozen, self._resumes = frozen, not frozen
+        self._is_frozen, self._resumes = is_frozen, not is_frozen
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         theta, covariance = self.theta[selection], self._covariance[selection]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(
-            self._white_box.parameters, theta, std, frozen=self._frozen
+            self._white_box.parameters, theta, std, is_frozen=self._is_frozen
         )
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
         """Remember one sample; update on every full batch. Tell whether the estimate changed."""
         self._stamp_ns = sample.stamp_ns
-        if self._frozen:
+        if self._is_frozen:
             return False
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
@@ -251,9 +251,9 @@ class GradientUpdate:
     def _residual(self, phi: Array, target: Array) -> tuple[Array, Array]:
         """First-difference residual in A and its derivative by log theta."""
         theta = self.theta
-        leading = theta[:, None, 0]
-        gap = (target - (phi @ theta[:, :, None])[..., 0]) / leading
-        slope = -phi * theta[:, None, :] / leading[..., None]
+        storage = theta[:, None, 0]
+        gap = (target - (phi @ theta[:, :, None])[..., 0]) / storage
+        slope = -phi * theta[:, None, :] / storage[..., None]
         slope[..., 0] -= gap
         return gap, slope
 
@@ -293,8 +293,8 @@ class GradientUpdate:
 
     def _cut_on_plateau(self, fresh: Array) -> None:
         """Halve the learning rate where the loss has stopped to fall (thesis 4.3.2)."""
-        started = np.isfinite(self._loss)
-        self._loss = np.where(started, 0.8 * self._loss + 0.2 * fresh, fresh)
+        has_loss = np.isfinite(self._loss)
+        self._loss = np.where(has_loss, 0.8 * self._loss + 0.2 * fresh, fresh)
         better = self._loss < 0.95 * self._best
         self._best = np.where(better, self._loss, self._best)
         self._stale = np.where(better, 0, self._stale + 1)
@@ -306,21 +306,21 @@ class GradientUpdate:
 
     def _follow_drift(self, fresh: Array) -> None:
         """Start over from the present values when the newest data no longer fit."""
-        settled = self._rate <= 0.25 * self._rules.learning_rate
+        is_settled = self._rate <= 0.25 * self._rules.learning_rate
         newest = self._white_box.state(self.replay.torque_nm(self._rules.batch_size))
         floor = self._rules.drift_floor * np.abs(newest).mean(axis=1, keepdims=True)
-        drifted = settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
-        if not np.any(drifted):
+        has_drifted = is_settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
+        if not np.any(has_drifted):
             return
         self.replay.forget(
             2 * max(self._rules.batch_size, self._rules.window + 1)
         )  # what an update needs
-        self._rate = np.where(drifted, self._rules.learning_rate, self._rate)
-        self._best = np.where(drifted, np.inf, self._best)
-        self._loss = np.where(drifted, fresh, self._loss)
-        self._second = np.where(drifted, 0.0, self._second)
-        self._first = np.where(drifted, 0.0, self._first)
-        self._adam_steps = np.where(drifted, 0, self._adam_steps)
+        self._rate = np.where(has_drifted, self._rules.learning_rate, self._rate)
+        self._best = np.where(has_drifted, np.inf, self._best)
+        self._loss = np.where(has_drifted, fresh, self._loss)
+        self._second = np.where(has_drifted, 0.0, self._second)
+        self._first = np.where(has_drifted, 0.0, self._first)
+        self._adam_steps = np.where(has_drifted, 0, self._adam_steps)
 
     def _prior_covariance(self) -> Array:
         theta = self.theta

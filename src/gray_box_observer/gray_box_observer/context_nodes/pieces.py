@@ -19,7 +19,11 @@ Pieces = Generator[int, None, Result]
 """A piece of work at each ``next``, which gives its size; the result at the end."""
 
 SHARE = 192
-"""Work that every sample grants."""
+"""Work that every sample grants, at least."""
+
+SHARE_A_SECOND, LARGEST_SHARE = 192_000, 1920
+"""Work that a sample grants for the time since the one before, and at one sample at most: slow
+samples have more time, and their runs take more steps."""
 
 SAVED = 262144
 """Work that samples at which nothing was to be done have saved up, at most."""
@@ -53,14 +57,15 @@ class WorkBudget:
         self.credit = SAVED
         self.pieces = 0
 
-    def grant(self) -> None:
-        """Take note of a sample."""
-        self.credit = min(self.credit + SHARE, SAVED)
+    def grant(self, interval_s: float, samples: int = 1) -> None:
+        """Take note of samples, so long after the one before by their stamps; 0: not known."""
+        share = int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
+        self.credit = min(self.credit + share * samples, SAVED)
 
     def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
         """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""
-        done = 0
-        while self.credit > 0 and done < AT_ONCE:
+        spent_work = 0
+        while self.credit > 0 and spent_work < AT_ONCE:
             try:
                 size = next(work)
             except StopIteration as end:
@@ -68,20 +73,22 @@ class WorkBudget:
                 return True, end.value
             self.pieces += 1
             self.credit -= size
-            done += size
+            spent_work += size
         return False, None
 
     def repeat(self, work: Pieces[Result], pieces: int) -> None:
         """Do the pieces again that had been done of some work before it was saved.
 
         Raises:
-            CheckpointError: the work has not as many.
+            CheckpointError: the work has not as many, or cannot be done.
         """
         try:
             for _ in range(pieces):
                 next(work)
         except StopIteration:
             raise CheckpointError(f'the work under way has not {pieces} pieces') from None
+        except (ArithmeticError, LookupError, ValueError):
+            raise CheckpointError('the work under way cannot be done again') from None
         self.pieces = pieces
 
     @classmethod

@@ -57,7 +57,7 @@ class ContextUpdate(Protocol):
         Shape (parameter,) each; a share of 0 is one that is not known.
         """
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""
 
 

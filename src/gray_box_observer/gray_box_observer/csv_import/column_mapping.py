@@ -159,13 +159,13 @@ class CsvMapping:
         own_keys = {entry.name for entry in fields(cls)} - {'motors'}
         groups: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
-        unnamed = str(flat.get('motor', 'motor'))
+        default_motor = str(flat.get('motor', 'motor'))
         for key, value in flat.items():
             name, dot, last = key.rpartition('.')
             if last in motor_keys:
-                group = groups.setdefault(name if dot else unnamed, {})
+                group = groups.setdefault(name if dot else default_motor, {})
                 if last in group:
-                    raise BagError(f'{last} of motor {brief(unnamed)[1:-1]} is mapped twice')
+                    raise BagError(f'{last} of motor {brief(default_motor)[1:-1]} is mapped twice')
                 group[last] = _value(key, last, value)
             elif key in own_keys:
                 own[key] = _value(key, key, value)
@@ -173,10 +173,10 @@ class CsvMapping:
                 valid_keys = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
                 raise BagError(f'{brief(key)} is no key of a mapping; there are: {valid_keys}')
         motors = {}
-        if 'motor' in flat and unnamed not in groups:
+        if 'motor' in flat and default_motor not in groups:
             raise BagError(
-                f'motor={brief(unnamed)[1:-1]} names no motor: every column carries the name of '
-                'another one'
+                f'motor={brief(default_motor)[1:-1]} names no motor: every column carries the name '
+                'of another one'
             )
         for name, group in groups.items():
             try:

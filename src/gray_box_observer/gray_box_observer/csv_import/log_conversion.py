@@ -138,7 +138,7 @@ def csv_to_bag(
         passes = expressions.where(table) != 0
     in_time = passes.copy() if mapping.where_drops == 'row' else np.ones(row_count, dtype=bool)
     filtered_count = int(row_count - passes.sum())
-    considered = int(in_time.sum())
+    in_time_count = int(in_time.sum())
     rows = np.flatnonzero(in_time)
     in_order = _increasing(time_s[rows])
     doubts = [*unit_doubts(mapping, shape.names)]
@@ -171,7 +171,7 @@ def csv_to_bag(
     return CsvSummary(
         rows=row_count,
         filtered_rows=filtered_count,
-        unordered_rows=considered - int(kept_rows.size),
+        unordered_rows=in_time_count - int(kept_rows.size),
         non_finite_rows=int(np.count_nonzero(~finite[kept_rows])),
         messages=messages,
         duration_s=float(stamps_ns[-1] - stamps_ns[0]) * 1e-9,

@@ -74,15 +74,15 @@ def look_at(path: Path) -> TableShape:
     line_number, line = next(rows, (0, ''))
     if not line:
         raise BagError(f'{path} holds no rows')
-    following = next(rows, (0, ''))[1]
-    delimiter = _delimiter(line, following)
+    next_line = next(rows, (0, ''))[1]
+    delimiter = _delimiter(line, next_line)
     cells = _cells(path, line_number, line, delimiter)
-    filled = [cell for cell in cells if cell.strip()]
-    numbers = [cell for cell in filled if _is_number(_with_point(cell, delimiter))]
-    if filled and len(numbers) == len(filled):
+    nonempty_cells = [cell for cell in cells if cell.strip()]
+    numbers = [cell for cell in nonempty_cells if _is_number(_with_point(cell, delimiter))]
+    if nonempty_cells and len(numbers) == len(nonempty_cells):
         return TableShape((), len(cells), delimiter)
     names = tuple(cell.strip().strip('"\'').strip() for cell in cells)
-    if not following:
+    if not next_line:
         raise BagError(f'{path} holds a header but no rows')
     odd = (
         f'{path}, line {line_number} is taken for the names of the columns, although '
@@ -152,14 +152,14 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
     return Columns(arrays, np.array(lines, dtype=np.int64), warnings)
 
 
-def _delimiter(line: str, following: str) -> str | None:
+def _delimiter(line: str, next_line: str) -> str | None:
     """Return what stands between the cells, None for blanks, as the first two rows tell.
 
     A comma may be that of a decimal number: another sign goes before it where it divides both rows
     alike.
     """
     for sign in (';', '\t'):
-        if ',' in line and sign in line and line.count(sign) == following.count(sign):
+        if ',' in line and sign in line and line.count(sign) == next_line.count(sign):
             return sign
     return next((d for d in _DELIMITERS if d in line), None)
 

@@ -68,10 +68,10 @@ def read_vectors(
     Raises:
         BagError: the file cannot be read, or has changed since the names were read.
     """
-    wanted = {number: names[number - 1] for number in sorted(column_numbers) or [1]}
-    content = _call(path, 'loadmat', variable_names=sorted(set(wanted.values())))
+    names_by_number = {number: names[number - 1] for number in sorted(column_numbers) or [1]}
+    content = _call(path, 'loadmat', variable_names=sorted(set(names_by_number.values())))
     columns = {}
-    for number, name in wanted.items():
+    for number, name in names_by_number.items():
         if name not in content:
             raise BagError(f'{path}: {brief(name)} is there no more')
         values = np.asarray(content[name])

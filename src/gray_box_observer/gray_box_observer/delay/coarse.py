@@ -145,8 +145,8 @@ def _misfits(
     negative.
     """
     if basis:
-        scaled = np.stack([b / max(float(np.linalg.norm(b)), 1e-300) for b in basis], axis=1)
-        left, size, _ = np.linalg.svd(scaled, full_matrices=False)
+        unit_basis = np.stack([b / max(float(np.linalg.norm(b)), 1e-300) for b in basis], axis=1)
+        left, size, _ = np.linalg.svd(unit_basis, full_matrices=False)
         left = left[:, size > 1e-6 * size[0]] if size[0] > 0.0 else left[:, :0]
     else:
         left = np.zeros((change.size, 0))
@@ -166,11 +166,11 @@ def _misfits(
         yield
         square = square - (along(column) - column @ known_drop) ** 2
     total = float(rest @ rest)
-    explained = np.where(
+    square_reduction = np.where(
         square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0
     )
-    explained = explained / np.maximum(square, 1e-300)
-    misfit: Array = np.maximum(total - explained, 1e-12 * total) + 1e-300
+    square_reduction = square_reduction / np.maximum(square, 1e-300)
+    misfit: Array = np.maximum(total - square_reduction, 1e-12 * total) + 1e-300
     return misfit
 
 

@@ -10,7 +10,7 @@ class DeclaredDelay(DelayWatch):
     """Keeps the delay that was declared; the fit test asks whether it holds."""
 
     def update(
-        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
+        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, is_awaited: bool = False
     ) -> float | None:  # fmt: skip
         """Do nothing, and leave the delay as it is."""
         return None

@@ -56,15 +56,15 @@ class Fitted:
         loss_a2: Huber's loss, half the sum of squares but for outliers.
         noise_a: standard deviation of the prediction error of the current, where the data speak of
             the delay.
-        correlated: so many neighbouring prediction errors count for one there; 1 where they are
-            white.
+        correlation_length: so many neighbouring prediction errors count for one there; 1 where they
+            are white.
     """
 
     delay_s: float
     std_s: float
     loss_a2: float
     noise_a: float
-    correlated: float
+    correlation_length: float
 
 
 class FineSearch:
@@ -240,17 +240,23 @@ class FineSearch:
         noise = math.sqrt(max(local / leverage, self._noise2))
         pairs = np.abs(influence[1:] * influence[:-1]) * residual[1:] * residual[:-1]
         correlation = min(max(float(np.sum(pairs)) / max(local, 1e-300), 0.0), 0.99)
-        correlated = (1.0 + correlation) / (1.0 - correlation)
-        std = noise * math.sqrt(max(float(self._covariance[-1, -1]), 0.0) * correlated)
-        speaking = leverage**2 / max(
+        correlation_length = (1.0 + correlation) / (1.0 - correlation)
+        std = noise * math.sqrt(max(float(self._covariance[-1, -1]), 0.0) * correlation_length)
+        effective_count = leverage**2 / max(
             float(np.sum(influence**4)), 1e-300
         )  # no more can count for one than there are
-        return Fitted(self._delay_s, std * self._interval_s, loss, noise, min(correlated, speaking))
+        return Fitted(
+            self._delay_s,
+            std * self._interval_s,
+            loss,
+            noise,
+            min(correlation_length, effective_count),
+        )
 
 
 def evidence(best: Fitted, fixed: Fitted) -> float:
     """Log-likelihood gain of the best delay over the held one, less for correlated residuals."""
-    scale = best.noise_a**2 * best.correlated
+    scale = best.noise_a**2 * best.correlation_length
     return (
         (fixed.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
     )  # a motor at rest says nothing

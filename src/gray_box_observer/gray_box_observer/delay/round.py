@@ -31,14 +31,14 @@ class DelayRound:
         self._count = 0
         self._history: RawHistory | None = None
 
-    def update(self, history: RawHistory, stamp_ns: int, *, awaited: bool = False) -> None:
+    def update(self, history: RawHistory, stamp_ns: int, *, is_awaited: bool = False) -> None:
         """Go on by one sample of the group; every so often a piece of work is done.
 
         Args:
             history: raw measurements of the group.
             stamp_ns: stamp of the sample.
-            awaited: as in :meth:`DelayWatch.take`; of many motors somebody always waits, and it is
-                not asked.
+            is_awaited: as in :meth:`DelayWatch.update`; of many motors somebody always waits, and
+                it is not asked.
         """
         self._count += 1
         if self._count % SPACING:

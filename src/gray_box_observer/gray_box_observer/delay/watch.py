@@ -69,13 +69,13 @@ class DelayEstimate:
 
     Attributes:
         applied_s: the delay in force.
-        asked: whether it is estimated; else it was declared.
+        is_estimated: whether it is estimated; else it was declared.
         value_s, std_s: what the data say; NaN while they do not.
         verdict: how far the two agree.
     """
 
     applied_s: float
-    asked: bool
+    is_estimated: bool
     value_s: float = math.nan
     std_s: float = math.nan
     verdict: DelayVerdict = DelayVerdict.UNKNOWN
@@ -86,7 +86,7 @@ class DelayEstimate:
         result = 'the data do not tell'
         if math.isfinite(self.value_s):
             result = f'found in the data: {self.value_s:.6g} +- {self.std_s:.2g} s'
-        origin = 'estimated' if self.asked else 'declared'
+        origin = 'estimated' if self.is_estimated else 'declared'
         return f'{result}; applied: {self.applied_s:.6g} s, as {origin}'
 
     def complaint(self, motor: str) -> str | None:
@@ -121,7 +121,7 @@ class DelayWatch:
         white_box: the physics.
         initial: shape (1, parameter): first guess of the parameters.
         applied_s: the delay in force.
-        asked: whether a delay that is found shall be applied.
+        is_estimated: whether a delay that is found shall be applied.
         gap_s: a longer silence of torque starts the signal history anew.
 
     Attributes:
@@ -129,13 +129,19 @@ class DelayWatch:
     """
 
     def __init__(
-        self, white_box: WhiteBox, initial: Array, applied_s: float, *, asked: bool, gap_s: float
+        self,
+        white_box: WhiteBox,
+        initial: Array,
+        applied_s: float,
+        *,
+        is_estimated: bool,
+        gap_s: float,
     ) -> None:
         self._white_box = white_box
         self._applied_std_s = math.inf
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
-        self.estimate = DelayEstimate(applied_s, asked)
+        self.estimate = DelayEstimate(applied_s, is_estimated)
         self._dropped_count = 0
         self._count = 0
         self._restart(0)
@@ -153,7 +159,7 @@ class DelayWatch:
         self._before: _Found | None = None
 
     def update(
-        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
+        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, is_awaited: bool = False
     ) -> float | None:  # fmt: skip
         """Go on by one piece of work, where there is any.
 
@@ -161,8 +167,8 @@ class DelayWatch:
             history: raw measurements that led to the samples so far.
             stamp_ns: stamp of the newest sample.
             samples: how many have come since it was last called.
-            awaited: whether somebody waits for what the sample has led to; the work then waits for
-                the next one.
+            is_awaited: whether somebody waits for what the sample has led to; the work then waits
+                for the next one.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
@@ -170,7 +176,7 @@ class DelayWatch:
         if history.restarts != self._restarts:
             self._restart(history.restarts)
         self._count += samples
-        self._put_off = awaited and not self._put_off
+        self._put_off = is_awaited and not self._put_off
         if self._put_off:
             return None
         if self._work is None:
@@ -219,19 +225,19 @@ class DelayWatch:
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
         fixed_fit = yield from fine.fit(applied_s, free=False)
-        brought = evidence(best, fixed_fit)
-        if not math.isfinite(best.std_s + brought):
+        likelihood_gain = evidence(best, fixed_fit)
+        if not math.isfinite(best.std_s + likelihood_gain):
             return None
         margin_s = 0.5 * interval_s
         inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
-        return _Found(best.delay_s, best.std_s, brought, interval_s, inside)
+        return _Found(best.delay_s, best.std_s, likelihood_gain, interval_s, inside)
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
-        estimate, growing = self.estimate, self._count <= 2 * TORQUES
-        if estimate.asked and growing:
+        estimate, is_early = self.estimate, self._count <= 2 * TORQUES
+        if estimate.is_estimated and is_early:
             return True
-        if estimate.verdict is DelayVerdict.UNDECLARED and not growing:
+        if estimate.verdict is DelayVerdict.UNDECLARED and not is_early:
             return abs(delay_s - estimate.value_s) > 0.5 * interval_s
         away = abs(delay_s - estimate.applied_s) > COARSE_WORTH * interval_s
         return away and coarse.evidence(estimate.applied_s) > COARSE_EVIDENCE
@@ -250,13 +256,13 @@ class DelayWatch:
             keep &= np.isfinite(signals.speed_rad_s)
         if np.count_nonzero(keep) < FIRST // 4:
             return None
-        remaining = replace(
+        known_signals = replace(
             signals,
             time_s=signals.time_s[keep],
             torque_nm=signals.torque_nm[keep],
             speed_rad_s=signals.speed_rad_s[keep],
         )
-        return remaining, (low, high)
+        return known_signals, (low, high)
 
     def _judge(self, result: _Found) -> float | None:
         """Compare the outcome with the delay in force; two searches must agree on another one."""
@@ -280,7 +286,7 @@ class DelayWatch:
             if estimate.verdict is not DelayVerdict.UNDECLARED:
                 self.estimate = replace(estimate, verdict=DelayVerdict.SUSPECTED)
             return None
-        if not estimate.asked:
+        if not estimate.is_estimated:
             self.estimate = replace(
                 estimate,
                 value_s=result.delay_s,
@@ -297,7 +303,7 @@ class DelayWatch:
         Then all is learnt anew from the history: only while that forgets nothing and holds what
         restarts left out.
         """
-        if not self.estimate.asked:
+        if not self.estimate.is_estimated:
             self.estimate = replace(
                 self.estimate,
                 value_s=result.delay_s,
@@ -360,17 +366,19 @@ class DelayWatch:
             raise CheckpointError(
                 f'verdict is {printable(repr(word), 40)}, expected one of a delay'
             )
-        if not self.estimate.asked and applied_s != self.estimate.applied_s:
+        if not self.estimate.is_estimated and applied_s != self.estimate.applied_s:
             return
         self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
         self._dropped_count = learnt_count
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
         self.estimate = DelayEstimate(
-            applied_s, self.estimate.asked, value_s, std_s, DelayVerdict[word]
+            applied_s, self.estimate.is_estimated, value_s, std_s, DelayVerdict[word]
         )
 
 
 def _median(values: Array) -> float:
     """Median, bit for bit what ``np.median`` says, which would load masked arrays for it."""
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
+    sorted_values = np.sort(values)
+    return 0.5 * float(
+        sorted_values[(sorted_values.size - 1) // 2] + sorted_values[sorted_values.size // 2]
+    )

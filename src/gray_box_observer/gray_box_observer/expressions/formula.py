@@ -89,7 +89,7 @@ class Formula:
         self.kind = ''
         self._names: dict[Name, None] = {}
         self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
-        self._quoted: list[str] = []
+        self._texts: list[str] = []
         self._units: list[str] = []
         tree = self._parse(text.strip())
         if isinstance(tree, ast.Subscript):
@@ -131,8 +131,8 @@ class Formula:
             raise ExpressionError(f'{brief(self.text)} is no arithmetic expression') from None
 
     def _set_aside_text(self, match: re.Match[str]) -> str:
-        self._quoted.append(match[1] if match[1] is not None else match[2])
-        return f'{_TEXT}({len(self._quoted) - 1})'
+        self._texts.append(match[1] if match[1] is not None else match[2])
+        return f'{_TEXT}({len(self._texts) - 1})'
 
     def _set_aside_unit(self, match: re.Match[str]) -> str:
         self._units.append(match[1])
@@ -177,7 +177,7 @@ class Formula:
             case ast.Constant(value=int() as number) if name == _COLUMN:
                 return self._quantity(number)
             case ast.Constant(value=int() as number) if name == _TEXT:
-                return self._quantity(self._quoted[number])
+                return self._quantity(self._texts[number])
         if name not in FUNCTIONS:
             raise self._not_allowed()
         value = self._compile(argument, depth)

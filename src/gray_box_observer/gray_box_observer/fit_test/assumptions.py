@@ -23,7 +23,7 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
     """
     findings = {}
     is_thesis_speed = (
-        'speed_source' in motor.stated and motor.values['speed_source'] == 'torque_constant'
+        'speed_source' in motor.stated_names and motor.values['speed_source'] == 'torque_constant'
     )
     follows_current = not (white_box.speed_measured or white_box.has_rotor or is_thesis_speed)
     if follows_current and not _has_data_sheet(motor):
@@ -37,7 +37,7 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
             f'or say that it is so by {motor.name}.speed_source: torque_constant'
         )
     kt = float(motor.values['torque_constant'])
-    is_settled = KB in motor.stated or KB in white_box.context_nodes
+    is_settled = KB in motor.stated_names or KB in white_box.context_nodes
     if not is_settled and white_box.has_rotor:
         findings[KB_LIKE_KT] = (
             f'Kb is not stated, so it is taken for the torque constant ({kt:g}), which it nearly '

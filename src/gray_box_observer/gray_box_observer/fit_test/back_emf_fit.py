@@ -68,7 +68,7 @@ class BackEmfFit:
         voltage_v: root mean square of the voltage.
         speed_rad_s: root mean square of the speed.
         gain: sum of squared residuals that is left, over that with the configured Kb.
-        unexplained: sum of squared residuals, over that of the voltage.
+        residual_share: sum of squared residuals, over that of the voltage.
         windows: how many it rests on.
     """
 
@@ -79,7 +79,7 @@ class BackEmfFit:
     voltage_v: float
     speed_rad_s: float
     gain: float
-    unexplained: float
+    residual_share: float
     windows: int
 
     @property
@@ -91,7 +91,7 @@ class BackEmfFit:
     def has_negative_resistance(self) -> bool:
         """Tell whether the data are those of a motor with one sign wrong: R is surely negative."""
         surely = self.resistance < -SURE * self.resistance_std
-        return surely and self.unexplained < UNEXPLAINED
+        return surely and self.residual_share < UNEXPLAINED
 
     def contradicts(self, kb: float) -> bool:
         """Tell whether another Kb is ruled out, with an effect that the parameters would show."""
@@ -126,7 +126,7 @@ def fit_back_emf(white_box: MotorWhiteBox, samples: Array) -> BackEmfFit | None:
     remainder = target - columns @ weights
     theta = weights / scale
     base_target = target - float(white_box.known.get(BACK_EMF, 0.0)) * scale[-1] * back_emf
-    configured = base_target - others @ np.linalg.lstsq(others, base_target, rcond=None)[0]
+    base_remainder = base_target - others @ np.linalg.lstsq(others, base_target, rcond=None)[0]
     squares = float(remainder @ remainder)
     variance = squares / max(target.size - theta.size, 1)
     names = _with_free_kb(white_box).context_nodes
@@ -143,8 +143,8 @@ def fit_back_emf(white_box: MotorWhiteBox, samples: Array) -> BackEmfFit | None:
         std=math.sqrt(variance / spread) / float(scale[-1]),
         voltage_v=float(np.sqrt(np.mean(target**2))),
         speed_rad_s=speed,
-        gain=squares / max(float(configured @ configured), 1e-300),
-        unexplained=squares / max(float(target @ target), 1e-300),
+        gain=squares / max(float(base_remainder @ base_remainder), 1e-300),
+        residual_share=squares / max(float(target @ target), 1e-300),
         windows=target.size,
     )
 

@@ -107,8 +107,8 @@ def doubts(
         theta: shape (parameter,): the published values.
         motor: as configured.
     """
-    needed = samples if white_box.speed_measured else samples[:SPEED]
-    samples = samples[:, np.isfinite(needed).all(axis=0)]
+    needed_rows = samples if white_box.speed_measured else samples[:SPEED]
+    samples = samples[:, np.isfinite(needed_rows).all(axis=0)]
     if samples.shape[1] < FEWEST_SAMPLES:
         return ()
     time = _doubt_of_time(samples, motor)
@@ -261,8 +261,8 @@ def _smallest_resistance(
     signal = max(1.0 - noise_share(current_a) ** 2, 0.0) * float(np.mean(current_a**2))
     impedance = voltage_v / max(math.sqrt(signal), 1e-300)
     names = white_box.context_nodes
-    published = float(theta[names.index('resistance')]) if 'resistance' in names else math.inf
-    return min(impedance, published)
+    published_ohm = float(theta[names.index('resistance')]) if 'resistance' in names else math.inf
+    return min(impedance, published_ohm)
 
 
 def _doubts_of_back_emf(
@@ -281,7 +281,7 @@ def _doubts_of_back_emf(
     far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
     if max(magnitude, kb) <= far * min(magnitude, kb) or magnitude <= SURE * balance.std:
         return
-    unit = _unit_of_speed(magnitude / kb) if BACK_EMF in motor.stated and kb > 0.0 else None
+    unit = _unit_of_speed(magnitude / kb) if BACK_EMF in motor.stated_names and kb > 0.0 else None
     if unit is not None:
         factor = UNITS_OF_SPEED[unit]
         text = (
@@ -296,8 +296,8 @@ def _doubts_of_back_emf(
 def _doubt_of_sign(balance: BackEmfFit, is_contradicted: bool) -> Suspect | None:
     """Doubt a sign: of the voltage where R and Kb are negative, of torque or speed where one is."""
     is_negative = balance.kb < 0.0 and is_contradicted
-    unexplained = max(balance.unexplained, 1e-300)
-    evidence = max(balance.evidence, 0.5 * balance.windows * -math.log(unexplained))
+    residual_share = max(balance.residual_share, 1e-300)
+    evidence = max(balance.evidence, 0.5 * balance.windows * -math.log(residual_share))
     if balance.has_negative_resistance:
         signal, column = ('voltage', 'voltage') if is_negative else ('torque', 'current')
         cause = 'R and back-EMF have' if is_negative else 'R has'

@@ -146,19 +146,20 @@ def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
     return findings
 
 
-def _distance(away: float, given: str, relative_std: float) -> str:
+def _distance(away: float, sheet_value: str, relative_std: float) -> str:
     """Say how far a value lies from the given one."""
     if relative_std > 0.0:
         return (
-            f'{away:.1f} standard deviations from the {given} +- {100.0 * relative_std:.3g} % given'
+            f'{away:.1f} standard deviations from the {sheet_value} +- '
+            f'{100.0 * relative_std:.3g} % given'
         )
-    return f'far from the {given} given'
+    return f'far from the {sheet_value} given'
 
 
 def _untold_spread(motor: MotorConfiguration, name: str) -> float:
     """Return how well a value is known that was given without a standard deviation."""
     key = f'initial.{name}'
-    is_given = key in motor.stated and motor.values[key] != DEFAULTS[key]
+    is_given = key in motor.stated_names and motor.values[key] != DEFAULTS[key]
     return UNTOLD_SPREAD if is_given else 0.0
 
 
@@ -167,8 +168,8 @@ def _quantity_hint(motor: MotorConfiguration, quantity: str, finding: _Finding) 
     if finding.name not in SCALED_BY_CURRENT:
         return ''
     constant = float(motor.values[TORQUE_CONSTANT])
-    expected = math.log(constant) if quantity == 'torque' else -math.log(constant)
-    away = abs(finding.log_ratio - expected) / finding.spread
+    expected_log_ratio = math.log(constant) if quantity == 'torque' else -math.log(constant)
+    away = abs(finding.log_ratio - expected_log_ratio) / finding.spread
     if away > FAR or away + NEARER > finding.away:
         return ''
     other = 'current' if quantity == 'torque' else 'torque'
@@ -184,7 +185,7 @@ def _unit_hint(finding: _Finding, *, is_duty: bool) -> str:
         return ''
     if is_duty and finding.log_ratio < -math.log(LEAST_BATTERY_V):
         return DUTY_REMEDY
-    for hint, expected in UNIT_HINTS.items():
-        if abs(finding.log_ratio - math.log(expected)) < FAR * finding.spread:
+    for hint, factor in UNIT_HINTS.items():
+        if abs(finding.log_ratio - math.log(factor)) < FAR * finding.spread:
             return hint
     return ''

@@ -65,8 +65,8 @@ class Scene:
     def direction(self) -> Array:
         """Sign of the current, softened where there is hardly any."""
         size = np.abs(self.current_a)
-        softened: Array = self.current_a / (size + KNEE * float(size.max()) + 1e-300)
-        return softened
+        soft_sign: Array = self.current_a / (size + KNEE * float(size.max()) + 1e-300)
+        return soft_sign
 
 
 Shapes = tuple[Array, ...]
@@ -251,10 +251,10 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
 
 def possible_effects(scene: Scene) -> list[tuple[Effect, list[Shapes]]]:
     """Return every effect that this motor can have, with the shapes that it may take."""
-    measured = scene.speed_rad_s is not None
-    turns = measured or scene.has_rotor
+    has_speed = scene.speed_rad_s is not None
+    turns = has_speed or scene.has_rotor
     return [
         (effect, list(effect.alternatives(scene)))
         for effect in EFFECTS.values()
-        if not (effect.needs_speed and not measured) and not (effect.without_speed and turns)
+        if not (effect.needs_speed and not has_speed) and not (effect.without_speed and turns)
     ]

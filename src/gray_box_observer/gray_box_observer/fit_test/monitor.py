@@ -39,7 +39,7 @@ from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analy
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS, check_saved_test
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
-from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE, ReplayBuffer
 from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -49,7 +49,11 @@ WINDOW = 4096
 """Newest samples, at most, that a test looks at."""
 
 FEWEST = 64
-"""Samples of which a test tells something."""
+"""Samples of which a test tells something: a rotor whose speed nobody measures takes so long to
+show."""
+
+FEWEST_WITH_SPEED = 32
+"""The same where the speed is measured."""
 
 SHORTEST_WAIT = 64
 """Samples between two tests of a motor, at least."""
@@ -92,6 +96,10 @@ MANY = 1024
 
 NEVER = np.iinfo(np.int64).max
 
+_UNTESTED = FitAssessment()
+
+_ALONE = np.zeros(1, dtype=np.intp)
+
 
 @dataclass(frozen=True, slots=True)
 class _Tested:
@@ -106,6 +114,8 @@ class _Tested:
         wait: samples to the next test.
         range_v: range of the voltage in the samples that a misfit rests on.
         misfits: tests in a row that found a misfit.
+        noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
+            where none did.
     """
 
     assessment: FitAssessment
@@ -116,6 +126,7 @@ class _Tested:
     wait: int
     range_v: float
     misfits: int
+    noise_a: float
 
     def outweighs(self, count: int, range_v: float) -> bool:
         """Tell whether a misfit outweighs later samples that show none but tell less."""
@@ -142,7 +153,10 @@ class FitMonitor:
         self._quantity = quantity
         self._white_boxes = white_boxes
         self._results: list[_Tested | None] = [None] * len(motors)
-        self._due = np.full(len(motors), FEWEST)
+        self._fewest = np.array(
+            [FEWEST_WITH_SPEED if box.speed_measured else FEWEST for box in white_boxes]
+        )
+        self._due = self._fewest.copy()
         self._soon = np.full(len(motors), NEVER)
         self._begin = np.full(len(motors), NEVER)
         self._limits = np.ones(len(motors), dtype=bool)
@@ -156,7 +170,7 @@ class FitMonitor:
     def assessment(self, motor: int) -> FitAssessment:
         """Return what is known of the fit of one motor."""
         result = self._results[motor]
-        return FitAssessment() if result is None else result.assessment
+        return _UNTESTED if result is None else result.assessment
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
@@ -174,6 +188,8 @@ class FitMonitor:
         """
         replay = nodes.replay
         self._moved = frozenset()
+        if len(self._motors) == 1:  # the usual case, in plain numbers
+            return [0] if motors.size and self._is_due(replay, estimate) else []
         places = replay.received[motors]
         if (places < np.minimum(self._due[motors], self._soon[motors])).all():
             return []
@@ -182,6 +198,8 @@ class FitMonitor:
         moved = (places >= self._soon[motors]) & self._has_moved(estimate, motors)
         self._moved = frozenset(motors[moved].tolist())
         rows = np.flatnonzero(waited | moved)
+        if not rows.size:
+            return []
         rows = rows[
             np.argsort(self._due[motors[rows]], kind='stable')
         ]  # who has waited longest is first
@@ -191,6 +209,18 @@ class FitMonitor:
             if self._is_ripe(estimate, row, motors[row], places[row])
         )
         return list(islice(due_motors, max(1, len(self._motors) // MANY)))
+
+    def _is_due(self, replay: ReplayBuffer, estimate: Estimate) -> bool:
+        """Tell whether a motor that is alone is to be tested now; see :meth:`due`."""
+        place, due, soon = int(replay.received[0]), int(self._due[0]), int(self._soon[0])
+        if place < due and place < soon:
+            return False
+        has_waited = place >= (soon if replay.begin()[0] > self._begin[0] else due)
+        if place >= soon and self._has_moved(estimate, _ALONE)[0]:
+            self._moved = frozenset((0,))
+        elif not has_waited:
+            return False
+        return self._is_ripe(estimate, 0, 0, place)
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
         """Tell whether a first test is worth its time: something would be believed without it."""
@@ -205,6 +235,8 @@ class FitMonitor:
         """
         far = np.abs(np.log(estimate.value / self._theta[motors])) > MOVED
         has_moved: NDArray[np.bool_] = far.any(axis=1)
+        if not has_moved.any():
+            return has_moved
         for row in np.flatnonzero(has_moved).tolist():
             result = self._results[motors[row]]
             if result is not None and result.assessment.verdict is not FitVerdict.MISFIT:
@@ -229,8 +261,9 @@ class FitMonitor:
         one = slice(motor, motor + 1)
         place, begin = int(replay.received[motor]), int(replay.begin(one)[0])
         count = int(min(replay.remembered(one)[0], WINDOW))
-        if count < FEWEST:
-            self._put_off(motor, place + FEWEST - count)
+        fewest = int(self._fewest[motor])
+        if count < fewest:
+            self._put_off(motor, place + fewest - count)
             return
         before = self._results[motor]
         samples = replay.newest(count, one)
@@ -254,8 +287,8 @@ class FitMonitor:
             place - begin,
             speed_measured=knows_speed,
             stamps_exact=bool(self._motors[motor].values['stamps_exact']),
-            doubted=before is not None and before.misfits > PASSING,
-            drifting=drifting,
+            is_doubted=before is not None and before.misfits > PASSING,
+            is_drifting=drifting,
         )
         shift = inductance_shift(white_box, samples[:, 0], theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
@@ -266,7 +299,8 @@ class FitMonitor:
         sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
         if sheet is not None and not suspicions:
             suspicions.append(sheet)
-        clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
+        noise_a = analysis.moving_noise_a or (0.0 if before is None else before.noise_a)
+        clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), noise_a)
         if clipped is not None:
             suspicions.append(clipped)
         late = self._delay_suspect(motor, delay)
@@ -300,7 +334,15 @@ class FitMonitor:
             misfits = 1 + (0 if before is None else before.misfits) if misfit else 0
             wait = self._wait(before, judgement.verdict, count)
             self._results[motor] = _Tested(
-                assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits
+                assessment,
+                judgement,
+                theta[0].copy(),
+                place,
+                begin,
+                wait,
+                range_v,
+                misfits,
+                noise_a,
             )
         self._follow(motor)
 
@@ -407,7 +449,7 @@ class FitMonitor:
                 value = estimate.value[row : row + 1]
                 most = _largest_shares(nodes, motor, value[0], result.judgement)[None]
                 verdicts[row] = nodes.verdict_rules.judge(
-                    estimate.parameters, value, std, frozen=frozen, most=most
+                    estimate.parameters, value, std, is_frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(misfit, verdicts[row]))
@@ -416,7 +458,7 @@ class FitMonitor:
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
         self._results = [None] * len(self._motors)
-        self._due[:] = FEWEST
+        self._due[:] = self._fewest
         self._soon[:] = self._begin[:] = NEVER
         self._limits[:] = True
         self._theta[:] = np.nan
@@ -443,6 +485,7 @@ class FitMonitor:
             'wait': result.wait,
             'range_v': result.range_v,
             'misfits': result.misfits,
+            'noise_a': result.noise_a,
         }
 
     def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
@@ -472,6 +515,7 @@ class FitMonitor:
             plain['wait'],
             plain['range_v'],
             plain['misfits'],
+            plain.get('noise_a', 0.0),  # releases before kept none
         )
         self._follow(motor)
         self._restore_due(plain, motor, received_count)

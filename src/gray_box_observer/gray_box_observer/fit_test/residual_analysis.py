@@ -113,26 +113,30 @@ class ResidualAnalysis:
 def _moving_noise(residual: Array, readings: Array) -> float:
     """Noise of the samples whose reading differs from both neighbours; 0 if too few."""
     changes = readings[1:] != readings[:-1]
-    moving = changes[1:] & changes[:-1]
-    return difference_noise(residual, moving) if np.count_nonzero(moving) >= FEWEST_STEEP else 0.0
+    is_moving = changes[1:] & changes[:-1]
+    return (
+        difference_noise(residual, is_moving)
+        if np.count_nonzero(is_moving) >= FEWEST_STEEP
+        else 0.0
+    )
 
 
 def ljung_box(residual: Array, lags: int = LAGS) -> float:
     """Return the Ljung-Box statistic over its degrees of freedom; about 1 for white noise."""
     count = residual.size
-    centred = residual - residual.mean()
-    power = float(centred @ centred)
+    deviation = residual - residual.mean()
+    power = float(deviation @ deviation)
     if power <= 0.0:
         return 0.0
     correlations = (
-        np.array([float(centred[lag:] @ centred[:-lag]) for lag in range(1, lags + 1)]) / power
+        np.array([float(deviation[lag:] @ deviation[:-lag]) for lag in range(1, lags + 1)]) / power
     )
     weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
     return float(weights @ correlations**2) / lags
 
 
 def analyse(
-    white_box: WhiteBox, p: Array, stretch: SampleWindow, drifting: bool = False
+    white_box: WhiteBox, p: Array, stretch: SampleWindow, is_drifting: bool = False
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor.
 
@@ -140,7 +144,7 @@ def analyse(
         white_box: of one motor.
         p: shape (1, coordinate): published values as coordinates.
         stretch: the newest samples, with a motor axis of one.
-        drifting: whether what heats is known to drift, which is no misfit then.
+        is_drifting: whether what heats is known to drift, which is no misfit then.
     """
     run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
     step_a = float(quantisation_step(stretch.state)[0])
@@ -150,10 +154,10 @@ def analyse(
     weight = np.sqrt(run.weight)
     residual = np.clip(run.residual_a, -limit_a, limit_a) * weight
     base = np.column_stack([run.jacobian, *run.further])
-    if drifting:
+    if is_drifting:
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
     projection = _Projection(base * weight[:, None], residual, run.jacobian.shape[1])
-    if drifting:
+    if is_drifting:
         residual = projection.remainder
     size_a = math.sqrt(float(residual @ residual) / residual.size)
     whiteness = ljung_box(residual) if size_a > least_a else 1.0
@@ -281,19 +285,24 @@ def _of_parameters(coordinates: Array) -> Array:
     return shift
 
 
+def bandwidth(count: int) -> int:
+    """Return the lags up to which correlation counts, of so many samples."""
+    return int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
+
+
 def long_run_covariance(terms: Array) -> Array:
     """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
     count = terms.shape[0]
-    bandwidth = int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
-    padded = 1 << (count + bandwidth).bit_length()
-    spectrum = np.fft.rfft(terms, padded, axis=0)
-    lags = np.arange(bandwidth + 1)
-    kernel = np.zeros(padded)
-    kernel[lags] = 1.0 - lags / (bandwidth + 1.0)
+    width = bandwidth(count)
+    fft_length = 1 << (count + width).bit_length()
+    spectrum = np.fft.rfft(terms, fft_length, axis=0)
+    lags = np.arange(width + 1)
+    kernel = np.zeros(fft_length)
+    kernel[lags] = 1.0 - lags / (width + 1.0)
     kernel[-lags[1:]] = kernel[lags[1:]]
     weights = np.fft.rfft(kernel).real.copy()
-    weights[1 : (padded + 1) // 2] *= 2.0
-    covariance: Array = ((spectrum.conj() * weights[:, None]).T @ spectrum).real / padded
+    weights[1 : (fft_length + 1) // 2] *= 2.0
+    covariance: Array = ((spectrum.conj() * weights[:, None]).T @ spectrum).real / fft_length
     return covariance
 
 
@@ -325,10 +334,10 @@ def _scores(
             continue
         own_gram, own_products = gram[np.ix_(columns, columns)], products[columns]
         amount = _least_squares(own_gram, own_products)
-        explained = float(own_products @ amount)
-        rest_power = power - 2.0 * explained + float(amount @ own_gram @ amount)
+        explained_power = float(own_products @ amount)
+        rest_power = power - 2.0 * explained_power + float(amount @ own_gram @ amount)
         noise = max(rest_power / remainder.size, least_a**2)
-        if explained < LIKELY * columns.size * noise:  # a white residual rules it out
+        if explained_power < LIKELY * columns.size * noise:  # a white residual rules it out
             continue
         score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
         if effect.name not in best or score > best[effect.name].score:

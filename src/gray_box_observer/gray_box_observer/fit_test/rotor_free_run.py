@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
@@ -46,14 +47,7 @@ class RotorFreeRun(FreeRun):
             axis=1,
         )
         inputs = np.where(self.stretch.restart[0], 0.0, voltages_v).T
-        rows = np.zeros((inputs.shape[0] + 1, inputs.shape[1]))
-        state = np.zeros((len(State), inputs.shape[1]))
-        for k, (transition, gain, volts) in enumerate(
-            zip(self.transitions, by_voltage, inputs, strict=True)
-        ):
-            state = transition @ state + gain[:, None] * volts
-            rows[k + 1] = state[State.CURRENT]
-        return rows.T
+        return current_response(self.transitions, by_voltage, inputs).T
 
 
 def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:

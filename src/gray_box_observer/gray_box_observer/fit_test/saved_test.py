@@ -81,6 +81,8 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     whole(plain, 'wait', 1, LONGEST_WAIT)
     number(plain, 'range_v', 0.0, LARGEST)
     whole(plain, 'misfits')
+    if 'noise_a' in plain:
+        number(plain, 'noise_a', 0.0, LARGEST)
 
 
 def _saved_numbers(plain: dict[str, Any], name: str) -> Array:

@@ -102,7 +102,7 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         return {}
     regressors = list(rows[: len(names)])
     target = rows[len(names)]
-    unexplained, _ = _fit(regressors, target)
+    base_rest, _ = _fit(regressors, target)
     given_ohm = float(white_box.known.get('resistance', math.nan))
     best: dict[str, Explanation] = {}
     first = len(names) + 1
@@ -110,7 +110,7 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
         rest, weights = _fit([*regressors, *further], target)
-        gain = 0.5 * target.size / STRIDE * math.log(unexplained / rest)
+        gain = 0.5 * target.size / STRIDE * math.log(base_rest / rest)
         evidence = gain - 0.5 * len(shapes) * math.log(target.size)
         resistance = (
             float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
@@ -135,19 +135,19 @@ def select_explanations(
         scores: evidence of the free run, by the effect's name.
     """
     clear = (one for one in candidates if one.evidence > CLEAR and one.is_credible)
-    ranked = sorted(clear, key=lambda one: -one.evidence)
-    if ranked and {one.effect.name for one in ranked[:2]} == set(LATE):
-        ranked[:2] = sorted(ranked[:2], key=lambda one: -scores.get(one.effect.name, 0.0))
-    tied = [
+    best_first = sorted(clear, key=lambda one: -one.evidence)
+    if best_first and {one.effect.name for one in best_first[:2]} == set(LATE):
+        best_first[:2] = sorted(best_first[:2], key=lambda one: -scores.get(one.effect.name, 0.0))
+    ties = [
         one
-        for one in ranked
-        if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED
+        for one in best_first
+        if one.effect.name in ALIKE and one.evidence > best_first[0].evidence - TIED
     ]
-    if ranked and len(tied) > 1 and ranked[0] in tied:
-        effect_name = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
-        tied.sort(key=lambda one: one.effect.name != effect_name)
-        ranked = tied + [one for one in ranked if one not in tied]
-    return ranked
+    if best_first and len(ties) > 1 and best_first[0] in ties:
+        effect_name = 'lost_voltage' if ties[0].amount > 0.0 else 'current_offset'
+        ties.sort(key=lambda one: one.effect.name != effect_name)
+        best_first = ties + [one for one in best_first if one not in ties]
+    return best_first
 
 
 def _balance(
@@ -164,8 +164,8 @@ def _balance(
     bases = [
         np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)
     ]
-    measured = interval_means(speed[0]) if white_box.speed_measured else None
-    scene = Scene(stretch.voltage_v[0], interval_means(current_a), measured, fine=True)
+    mean_speed = interval_means(speed[0]) if white_box.speed_measured else None
+    scene = Scene(stretch.voltage_v[0], interval_means(current_a), mean_speed, fine=True)
     candidates = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
     signals = [
         np.diff(current_a),

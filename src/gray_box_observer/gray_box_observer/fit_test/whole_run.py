@@ -103,7 +103,7 @@ def _run(
     return run
 
 
-def fit_percent(measured: Array, predicted: Array) -> float | None:
+def fit_percent(measured_values: Array, predicted_values: Array) -> float | None:
     """Return the explained variation in per cent, ``100 (1 - |y - yhat| / |y - mean y|)``.
 
     This is the fit by normalised root mean square error (NRMSE).
@@ -111,13 +111,15 @@ def fit_percent(measured: Array, predicted: Array) -> float | None:
     100 is perfect, 0 no better than the mean, and there is no lower limit. None where nothing
     varies or is predicted.
     """
-    both = np.isfinite(measured) & np.isfinite(predicted)
+    both = np.isfinite(measured_values) & np.isfinite(predicted_values)
     if np.count_nonzero(both) < 2:
         return None
-    spread = float(np.linalg.norm(measured[both] - np.mean(measured[both])))
+    spread = float(np.linalg.norm(measured_values[both] - np.mean(measured_values[both])))
     if not spread > 0.0:
         return None
-    return 100.0 * (1.0 - float(np.linalg.norm(measured[both] - predicted[both])) / spread)
+    return 100.0 * (
+        1.0 - float(np.linalg.norm(measured_values[both] - predicted_values[both])) / spread
+    )
 
 
 def autocorrelation(residual: Array) -> tuple[Array, float] | None:

@@ -176,9 +176,9 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
     """Make bags of CSV logs and run the observer over them; a failed run leaves no bag."""
     count = len(options.from_csv)
     if len(options.bags) != count or not options.columns:
-        expected = 'exactly one BAG' if count == 1 else f'exactly {count} BAGs'
+        bag_phrase = 'exactly one BAG' if count == 1 else f'exactly {count} BAGs'
         folders = 'the folder' if count == 1 else 'the folders'
-        raise GrayBoxError(f'--from-csv needs --columns and {expected}, {folders} to make')
+        raise GrayBoxError(f'--from-csv needs --columns and {bag_phrase}, {folders} to make')
     if len(set(options.bags)) < count:
         raise GrayBoxError('--from-csv: every log needs a BAG of its own')
     mapping = read_mapping(options.columns)
@@ -239,8 +239,10 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         histories = () if collector is None else _histories(collector, outcome, result)
         if rivals is not None:
             warning_count = len(outcome.warnings)
-            for name, judged in validate(options.validate, outcome, rivals, update, limits).items():
-                result['motors'][name]['validation'] = plain(judged.to_dict())
+            for name, validation in validate(
+                options.validate, outcome, rivals, update, limits
+            ).items():
+                result['motors'][name]['validation'] = plain(validation.to_dict())
             warnings += outcome.warnings[warning_count:]
     for warning in warnings:
         _tell(f'warning: {warning}')
@@ -356,7 +358,7 @@ def _write_report(
         RunHistory(
             title=f'Identification of {", ".join(result["motors"])}',
             source=[path.name for path in options.bags],
-            created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            creation_time=datetime.now(timezone.utc).isoformat(timespec='seconds'),
             motors=tuple(replace(motor, validation=validations[motor.name]) for motor in histories),
             summary={
                 'samples': sum(motor['samples'] for motor in result['motors'].values()),

@@ -38,7 +38,7 @@ class Course:
         first_ns, last_ns: stamps of its first and last sample.
         duration_s: time that its samples cover, without gaps and jumps of the clock.
         alarms_s: when the alarm on the residual was raised, in s of that time.
-        alarmed: whether it stands.
+        has_alarm: whether it stands.
         changes_s: when the motor was found changed, in s of that time.
         change_count: how often that was counted.
     """
@@ -47,7 +47,7 @@ class Course:
     last_ns: int = 0
     duration_s: float = 0.0
     alarms_s: list[float] = field(default_factory=list)
-    alarmed: bool = False
+    has_alarm: bool = False
     changes_s: list[float] = field(default_factory=list)
     change_count: int = 0
 
@@ -61,9 +61,9 @@ class Course:
         """Go on by one result."""
         self.last_ns = result.sample.stamp_ns
         self.duration_s += result.sample.interval_s.item(0)
-        if result.alarm and not self.alarmed:
+        if result.alarm and not self.has_alarm:
             self.alarms_s.append(self.duration_s)
-        self.alarmed = result.alarm
+        self.has_alarm = result.alarm
 
 
 @dataclass
@@ -190,6 +190,7 @@ def _feed_all(
         for result in outcome.message_input.flush():
             ingest(outcome.observer.results(result))
         ingest(outcome.observer.flush())
+    outcome.observer.finish()
 
 
 def match_topics(configured_name: str, available: Iterable[str]) -> list[str]:
@@ -213,10 +214,10 @@ def _feed(
     message_input, count = outcome.message_input, 0
     for raw, message in _decode_messages(bag, signals, message_input.max_message_bytes):
         if message is None:
-            oversized = len(raw.data) > message_input.max_message_bytes
+            is_oversized = len(raw.data) > message_input.max_message_bytes
             for signal, _ in signals[raw.topic]:
                 message_input.refuse(
-                    signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED
+                    signal, Rejection.OVERSIZED if is_oversized else Rejection.MALFORMED
                 )
             continue
         for signal, topic in signals[raw.topic]:

@@ -44,7 +44,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(
             f'{counts.total()} messages of {name} could not be read'
-            for name, counts in outcome.message_input.rejected.items()
+            for name, counts in outcome.message_input.rejection_counts.items()
             if counts
         ),
         *(
@@ -87,11 +87,11 @@ def _stops(observer: Observer) -> list[str]:
 def describe(outcome: Outcome) -> dict[str, Any]:
     """Return the result as plain values for ``--json``; numbers that are not finite are None."""
     observer = outcome.observer
-    described = {
+    descriptions = {
         name: observer.contain(observer.group_of(name), partial(_motor, outcome, name))
         for name in [*observer.motors]
     }
-    motors = {name: values for name, values in described.items() if values is not None}
+    motors = {name: values for name, values in descriptions.items() if values is not None}
     incidents = observer.incidents.items()
     stopped_motors = {
         name: {'reason': incident.reason, 'traceback': incident.trace}
@@ -115,7 +115,7 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     skill = outcome.observer.skill(name)
     alarms_s = [round(time_s, 6) for time_s in course.alarms_s]
     values: dict[str, Any] = {
-        'samples': counts.used,
+        'samples': counts.used_count,
         'duration_s': round(course.duration_s, 6),
         'rejected': {reason.value: counts.rejected[reason] for reason in Rejection},
         'parameters': {
@@ -147,6 +147,6 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     }
     if motor.alarm is not None:
         values['alarms'] = {'raised': len(alarms_s), 'first_s': alarms_s[0] if alarms_s else None}
-    if delay.asked or delay.complaint(name) is not None:
+    if delay.is_estimated or delay.complaint(name) is not None:
         values['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
     return values

@@ -27,10 +27,10 @@ SCORED = {
 """What is judged by a validation, as people say it."""
 
 
-def fit_line(motor: str, fit: FitAssessment, *, coloured: bool) -> str:
+def fit_line(motor: str, fit: FitAssessment, *, has_colour: bool) -> str:
     """Say of one motor whether the white box explains its data, in one sentence."""
     text = printable(f'{motor}: {fit.sentence}')
-    return f'{COLOURS[fit.verdict]}{text}{_PLAIN}' if coloured else text
+    return f'{COLOURS[fit.verdict]}{text}{_PLAIN}' if has_colour else text
 
 
 def write_text(
@@ -43,17 +43,15 @@ def write_text(
         fits: residual analysis by motor.
         stream: coloured where it is a terminal.
     """
-    coloured = stream.isatty()
+    has_colour = stream.isatty()
     for name, fit in fits.items():
-        print(fit_line(name, fit, coloured=coloured), file=stream)
+        print(fit_line(name, fit, has_colour=has_colour), file=stream)
     for name, motor in result['motors'].items():
         fit_text = words_of(motor['fit_percent'], '.2f')
-        explained = (
-            f', fit of the free run {fit_text} %' if motor['fit_percent'] is not None else ''
-        )
+        fit_part = f', fit of the free run {fit_text} %' if motor['fit_percent'] is not None else ''
         print(
             f'{printable(name)}: {motor["samples"]} samples in {motor["duration_s"]:.1f} '
-            f's{explained}',
+            f's{fit_part}',
             file=stream,
         )
         for line in _lines(motor):

@@ -203,14 +203,14 @@ def validate(
                 'within gap_s: '
                 'are the stamps in another unit?'
             )
-    judged = {
+    validations = {
         name: observer.contain(
             observer.group_of(name),
             partial(_judge, name, bag, outcome, record.rows, training.maps[name]),
         )
         for name, record in records.items()
     }
-    return {name: validation for name, validation in judged.items() if validation is not None}
+    return {name: validation for name, validation in validations.items() if validation is not None}
 
 
 def _judge(

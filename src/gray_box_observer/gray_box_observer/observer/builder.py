@@ -75,18 +75,18 @@ def motor_observer(
             f'motor {first.name}: speed_source is measured, but its first torque sample came '
             'without speed'
         )
-    measured = speed_measured and source != THESIS
+    uses_speed = speed_measured and source != THESIS
 
     def make(source: str) -> MotorForm:
         motor = first.with_rotor() if source == ROTOR else first
         return _form(configuration, [motor], training, speed_measured=False)
 
-    choice = _speed_choice(configuration, motors, make, speed_measured=measured)
+    choice = _speed_choice(configuration, motors, make, speed_measured=uses_speed)
     if has_rotor and choice.is_open:
         choice.source = ROTOR
         form = make(ROTOR)
     else:
-        form = _form(configuration, motors, training, speed_measured=measured)
+        form = _form(configuration, motors, training, speed_measured=uses_speed)
     return MotorObserver(form, choice)
 
 
@@ -111,11 +111,11 @@ def _form(
             boxes[motor],
             initial,
             first.delay_s,
-            asked=estimates_delay,
+            is_estimated=estimates_delay,
             gap_s=configuration['gap_s'],
         )
 
-    def forecasting() -> Forecasting:
+    def make_forecasting() -> Forecasting:
         is_physics = configuration['variant'] == Variant.PHYSICS.value
         if training is None or (white_box.has_rotor and not is_physics):
             return None, None  # the networks of the thesis know no hidden speed
@@ -127,7 +127,7 @@ def _form(
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
     fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
-    return MotorForm(white_box, nodes, delay, fit, forecasting, scales)
+    return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales)
 
 
 def _speed_choice(

@@ -106,12 +106,12 @@ class CombinedSignal:
         """Return the value that still waits for an input, at the end of a recording."""
         return [self._evaluated(one) for one in self._alignment.flush()]
 
-    def _evaluated(self, aligned: Aligned) -> Stamped:
-        stamp_ns = aligned.stamp_ns
-        if aligned.complaint:
-            return Stamped(stamp_ns, None, Rejection.STALE_INPUT, aligned.complaint)
+    def _evaluated(self, whole: Aligned) -> Stamped:
+        stamp_ns = whole.stamp_ns
+        if whole.complaint:
+            return Stamped(stamp_ns, None, Rejection.STALE_INPUT, whole.complaint)
         readings: dict[str, Reading] = {}
-        for content in aligned.contents.values():
+        for content in whole.contents.values():
             readings |= content
         names = self._names(readings)
         is_new = [False]

@@ -76,11 +76,11 @@ class Part:
 
     def _spread(self, values: Values) -> Array:
         """Values of the group's motors; NaN where the message has none."""
-        picked: Array = np.asarray(values, dtype=float)[self.source]
+        source_values: Array = np.asarray(values, dtype=float)[self.source]
         if self.target is None:
-            return picked
+            return source_values
         spread = np.full(len(self.group.names), np.nan)
-        spread[self.target] = picked
+        spread[self.target] = source_values
         return spread
 
 

@@ -76,7 +76,7 @@ class InputAlignment:
         self._jump_back_ns = jump_back_ns
         self._tracks = {topic: _Track() for topic in stale_ns}
         self._leader = next(iter(stale_ns))
-        self._waiting: tuple[int, Any] | None = None
+        self._waiting_message: tuple[int, Any] | None = None
 
     def add(self, topic: str, stamp_ns: int, content: Any) -> list[Aligned]:
         """Take a message; return what it completes, in the order of time."""
@@ -88,13 +88,13 @@ class InputAlignment:
                 return self._out_of_order(topic, stamp_ns, content)
             self.restart()
         self._tracks[topic].messages.append((stamp_ns, content))
-        completed = self._choose_leader()
+        wholes = self._choose_leader()
         if topic == self._leader:
-            completed += self._release()
-            self._waiting = (stamp_ns, content)
-        if self._waiting is not None and self._is_complete(self._waiting[0]):
-            completed += self._release()
-        return completed
+            wholes += self._release()
+            self._waiting_message = (stamp_ns, content)
+        if self._waiting_message is not None and self._is_complete(self._waiting_message[0]):
+            wholes += self._release()
+        return wholes
 
     def flush(self) -> list[Aligned]:
         """Return what still waits for others, at the end of a recording."""
@@ -104,7 +104,7 @@ class InputAlignment:
         """Forget every message, for the clock begins anew."""
         self._tracks = {topic: _Track() for topic in self._stale_ns}
         self._leader = next(iter(self._stale_ns))
-        self._waiting = None
+        self._waiting_message = None
 
     def _out_of_order(self, topic: str, stamp_ns: int, content: Any) -> list[Aligned]:
         """Pass a late message of the leading topic on, for it to be refused; drop any other."""
@@ -118,9 +118,9 @@ class InputAlignment:
         fastest = min(paces, key=paces.__getitem__)
         if FASTER * paces[fastest] >= paces[self._leader]:
             return []
-        released = self._release()
+        wholes = self._release()
         self._leader = fastest
-        return released
+        return wholes
 
     def _is_complete(self, stamp_ns: int) -> bool:
         """Tell whether every topic has come as far as a stamp, or is too slow to be waited for."""
@@ -133,10 +133,10 @@ class InputAlignment:
         )
 
     def _release(self) -> list[Aligned]:
-        if self._waiting is None:
+        if self._waiting_message is None:
             return []
-        stamp_ns, content = self._waiting
-        self._waiting = None
+        stamp_ns, content = self._waiting_message
+        self._waiting_message = None
         return [self._whole(stamp_ns, content)]
 
     def _whole(self, stamp_ns: int, content: Any) -> Aligned:

@@ -52,8 +52,9 @@ class MessageInput:
     """Takes messages of the configured topics and feeds the observer.
 
     Attributes:
-        received: messages by signal; of each motor that one speaks of, :class:`Pairing` counts on.
-        rejected: messages that could not be read at all, by signal and reason.
+        message_counts: messages by signal; of each motor that one speaks of, :class:`Pairing`
+            counts on.
+        rejection_counts: messages that could not be read at all, by signal and reason.
         complaints: what was wrong with the last of them that was decoded, by signal.
         others: messages that spoke of no configured motor, by signal.
         max_message_bytes: a larger message is refused before it is decoded; whoever decodes sees to
@@ -65,9 +66,9 @@ class MessageInput:
         self.signals: dict[str, Signal | CombinedSignal] = {
             name: _signal(name, configuration) for name in SIGNALS
         }
-        self.rejected: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
+        self.rejection_counts: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
         self.complaints: dict[str, str] = {}
-        self.received: Counter[str] = Counter()
+        self.message_counts: Counter[str] = Counter()
         self.others: Counter[str] = Counter()
         self._plain_signals = {
             name: signal for name, signal in self.signals.items() if isinstance(signal, Signal)
@@ -100,11 +101,11 @@ class MessageInput:
         signal = self._plain_signals.get(name)
         if signal is None:
             return self._ingest_combined(name, topic, message, arrival_ns)
-        self.received[name] += 1
+        self.message_counts[name] += 1
         try:
             stamp_ns = stamp_of(message, arrival_ns)
         except (SampleError, TypeError, ValueError, OverflowError, AttributeError):
-            self.rejected[name][Rejection.MALFORMED] += 1
+            self.rejection_counts[name][Rejection.MALFORMED] += 1
             return InputResult(0, (), [])
         try:
             names, values, has_our_motor = signal.read(message)
@@ -136,18 +137,18 @@ class MessageInput:
         stamp_ns = 0
         try:
             stamp_ns = stamp_of(message, arrival_ns)
-            stamped = self._combined_signals[name].ingest(topic, message, stamp_ns)
+            stamped_values = self._combined_signals[name].ingest(topic, message, stamp_ns)
         except _UNREADABLE as error:
-            self.received[name] += 1
+            self.message_counts[name] += 1
             self._complain(name, Rejection.MALFORMED, error)
             return InputResult(stamp_ns, (), [])
-        return self._ingest_all(name, stamped)
+        return self._ingest_all(name, stamped_values)
 
-    def _ingest_all(self, name: str, stamped: Sequence[Stamped]) -> InputResult:
+    def _ingest_all(self, name: str, stamped_values: Sequence[Stamped]) -> InputResult:
         """Give values of an expression to the observer, and count those that there are none of."""
         result = InputResult(0, (), [])
-        for stamp_ns, reading, reason, complaint in stamped:
-            self.received[name] += 1
+        for stamp_ns, reading, reason, complaint in stamped_values:
+            self.message_counts[name] += 1
             if reason is not None:
                 self._complain(name, reason, SampleError(complaint))
             if reading is None:
@@ -163,12 +164,12 @@ class MessageInput:
         self.complaints[name] = (
             str(error) if isinstance(error, SampleError) else 'it holds no numbers'
         )
-        self.rejected[name][reason] += 1
+        self.rejection_counts[name][reason] += 1
 
     def refuse(self, name: str, reason: Rejection) -> None:
         """Count a message that came and was not read; it leads to nothing."""
-        self.received[name] += 1
-        self.rejected[name][reason] += 1
+        self.message_counts[name] += 1
+        self.rejection_counts[name][reason] += 1
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
         """Speeds from the torque message's velocity; None if absent or on a topic of their own."""

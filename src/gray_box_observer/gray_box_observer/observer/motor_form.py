@@ -37,7 +37,8 @@ class MotorForm:
         context_nodes: the rule that learns the parameters.
         delay: asks whether voltage and torque are shifted against each other.
         fit: asks whether the white box explains the data.
-        forecasting: makes predictor and alarm, which cost a process: only of a form that is used.
+        make_forecasting: makes predictor and alarm, which cost a process: only of a form that is
+            used.
         scales: what is not known of the scales of the signals; None where nothing is said of it.
     """
 
@@ -45,7 +46,7 @@ class MotorForm:
     context_nodes: ContextUpdate
     delay: DelayWatch | DelayRound
     fit: FitMonitor
-    forecasting: Callable[[], Forecasting]
+    make_forecasting: Callable[[], Forecasting]
     scales: ScaleDoubt | None = None
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[Estimate]:
@@ -71,7 +72,7 @@ class MotorForm:
         return estimate
 
     def catch_up(self, content: Array, stamp_ns: int) -> None:
-        """Take the samples that have come since those that were learnt all at once.
+        """Take samples that have come since those that were learnt all at once.
 
         Args:
             content: shape (signal, 1, n).

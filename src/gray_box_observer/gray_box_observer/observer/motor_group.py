@@ -107,11 +107,14 @@ class GroupResult:
         return self.deferred.speed
 
     def __iter__(self) -> Iterator[Result]:
+        names = self.group.names
+        if len(names) > 1:
+            return self._motor_by_motor()
+        alarm, speed = bool(self.alarm[0]), self.deferred.speed
+        return iter((Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed),))
+
+    def _motor_by_motor(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction
-        if len(names) == 1:
-            alarm = bool(self.alarm[0])
-            yield Result(names[0], sample, prediction, self.estimate, alarm, self.speed)
-            return
         row = dict(zip(self.changed.tolist(), range(self.changed.size), strict=True))
         for motor, name in enumerate(names):
             if sample.present is not None and not sample.present[motor]:

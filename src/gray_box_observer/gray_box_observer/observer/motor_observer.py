@@ -96,7 +96,7 @@ class MotorObserver:
         self.delay = form.delay
         self._fit = form.fit
         self._scales = form.scales
-        self._predictor, self._alarm = form.forecasting()
+        self._predictor, self._alarm = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
@@ -178,21 +178,25 @@ class MotorObserver:
         estimate = self.update_parameters(sample)
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
-            deferred.followed_speed = self._speed.followed
-        self._deferred = deferred
+            deferred.followed_speed = self._speed.estimate
+        if self._predictor is None and self.speed_choice.is_idle:
+            deferred.alarm = self.alarmed  # nothing is left to be done
+        else:
+            self._deferred = deferred
         return deferred, estimate
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        tests, self._tests = self._tests, []
-        for motor in tests:
-            self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
+        if self._tests:
+            tests, self._tests = self._tests, []
+            for motor in tests:
+                self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
         deferred = self._deferred
         if deferred is None:
             return
         self._judge_prediction(deferred)
-        if self.speed_choice.is_open and not self._is_frozen:
-            self._try_other_form(deferred.sample.stamp_ns)
+        if not (self.speed_choice.is_idle or self._is_frozen):
+            self._try_other_form(deferred.sample)
 
     def _judge_prediction(self, deferred: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -207,11 +211,20 @@ class MotorObserver:
         if self._predictor is not None and prediction is not None:
             self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
 
-    def _try_other_form(self, stamp_ns: int) -> None:
+    def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        form = self.speed_choice.step(
-            self.white_box, self.context_nodes, self._fit.assessment(0), stamp_ns
-        )
+        fit = self._fit.assessment(0)
+        self._go_over(self.speed_choice.step(self.white_box, self.context_nodes, fit, sample))
+
+    def finish(self) -> None:
+        """Do what is left of a trial of another form: no samples will come."""
+        self.run_deferred()
+        if self.speed_choice.is_open and not self._is_frozen:
+            nodes, fit = self.context_nodes, self._fit.assessment(0)
+            self._go_over(self.speed_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
+
+    def _go_over(self, form: MotorForm | None) -> None:
+        """Observe the motor by another form, where there is one."""
         if form is None:
             return
         if self._predictor is not None:
@@ -326,6 +339,7 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(one)
         before = self._fit.judged(self.context_nodes, estimate, self._places[one])
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
+        self.speed_choice.wake()
         after = self._fit.judged(self.context_nodes, estimate, self._places[one])
         has_changed = before.verdicts != after.verdicts or not np.array_equal(
             before.covariance, after.covariance
@@ -420,7 +434,7 @@ class MotorObserver:
         if self._alarm is None:
             return self._nobody
         self.run_deferred()
-        return self._alarm.raised
+        return self._alarm.is_raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Restart with new context nodes from samples paired anew; the network trains on.
@@ -518,7 +532,9 @@ class MotorObserver:
         received = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, received)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(group(plain, 'speed'), _group(arrays, 'speed'), received)
+            self.speed_choice.restore(
+                group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, received
+            )
         self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()

@@ -46,14 +46,14 @@ class AlarmView:
     """The alarm on the prediction's residual.
 
     Attributes:
-        armed: whether it has learnt the residual.
-        raised: whether it stands.
+        is_armed: whether it has learnt the residual.
+        is_raised: whether it stands.
         std_nm: standard deviation of the residual in N m.
         count: how often it was raised.
     """
 
-    armed: bool
-    raised: bool
+    is_armed: bool
+    is_raised: bool
     std_nm: float
     count: int
 
@@ -168,8 +168,8 @@ class MotorView:
         if alarm is None:
             return None
         return AlarmView(
-            bool(alarm.armed[at]),
-            bool(alarm.raised[at]),
+            bool(alarm.is_armed[at]),
+            bool(alarm.is_raised[at]),
             float(alarm.spread[at]),
             int(alarm.count[at]),
         )

@@ -6,7 +6,6 @@ One core, three doors: live topics, a replayed bag and the offline command all f
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -179,6 +178,12 @@ class Observer:
     def flush(self) -> list[Result]:
         """Learn what still waits for a voltage (end of a bag)."""
         return self._flat([result for group in self.every_group for result in self._flush(group)])
+
+    def finish(self) -> None:
+        """Do what is left of trials that are under way, within bounds: no samples will come."""
+        for group in self.every_group:
+            if group.observer is not None and not group.is_stopped:
+                self.contain(group, group.observer.finish)
 
     def restart_clock(self) -> None:
         """Begin new signal histories: what comes next has stamps of its own (another recording).
@@ -546,10 +551,10 @@ class Observer:
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
-        queue, pairing = deque(samples), group.pairing
+        pairing, still = group.pairing, samples[::-1]
         assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
-        while queue:
-            sample = queue.popleft()
+        while still:
+            sample = still.pop()
             if group.observer is None:
                 self._adopt(group, self._make(group, bool(np.isfinite(sample.speed_rad_s).any())))
             observer = group.observer
@@ -572,7 +577,7 @@ class Observer:
             delay_s = None
             if not self._is_frozen:
                 delay_s = observer.delay.update(
-                    pairing.history, sample.stamp_ns, awaited=estimate is not None
+                    pairing.history, sample.stamp_ns, is_awaited=estimate is not None
                 )
             if delay_s is not None:
                 past_samples, later_samples = pairing.redelay(delay_s, sample.stamp_ns)
@@ -584,7 +589,7 @@ class Observer:
                 results[-1] = replace(
                     results[-1], estimate=estimate, changed=np.arange(len(group.names))
                 )
-                queue = deque(later_samples)
+                still = later_samples[::-1]
         return results
 
     def _adopt(self, group: Group, observer: MotorObserver) -> None:

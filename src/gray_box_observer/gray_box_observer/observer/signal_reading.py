@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,6 +70,20 @@ class _NameCheck(NamedTuple):
     strangers: tuple[str, ...]
 
 
+class _Usual(NamedTuple):
+    """The usual message: one motor of ours, named, with one value.
+
+    Attributes:
+        names: as they stand in the message.
+        kind: type of what holds the value.
+        motors: the same names, as motors.
+    """
+
+    names: Sequence[str]
+    kind: Any
+    motors: tuple[str, ...]
+
+
 class Signal:
     """One measured quantity in the messages of one topic.
 
@@ -100,6 +115,7 @@ class Signal:
         )
         self.unknown_names: Counter[str] = Counter()
         self._readable = False
+        self._usual: _Usual | None = None
 
     def read(self, message: Any) -> ReadValues:
         """Return the motor names, a value in SI units for each, and whether any is configured.
@@ -118,6 +134,14 @@ class Signal:
                 f'{self.name}.field {self._path.text!r} on {self.topic}: {error}'
             ) from error
         names = names_of(message)
+        usual = self._usual
+        if (
+            usual is not None
+            and type(value) is usual.kind
+            and len(value) == 1
+            and names == usual.names
+        ):
+            return usual.motors, (self.scale * float(value[0]) + self.offset,), True
         if isinstance(value, (int, float)):
             self._readable = True
             return self._single(self.scale * value + self.offset)
@@ -147,6 +171,10 @@ class Signal:
                 self.unknown_names[name] += 1
         if self._torque_constants:
             values = self._as_torque(name_check.names, values)
+        elif (
+            len(message_names) == 1 and name_check.has_our_motor and not self._path.may_have_entries
+        ):
+            self._usual = _Usual(copy(names), type(value), name_check.names)
         return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:
@@ -194,11 +222,12 @@ class Signal:
 
         A motor whose joint is not among the names may be there by its own name.
         """
-        renamed = {self._joints[name] for name in message_names if name in self._joints}
-        if not renamed:
+        motor_names = {self._joints[name] for name in message_names if name in self._joints}
+        if not motor_names:
             return message_names
         return tuple(
-            self._joints.get(name, NOBODY if name in renamed else name) for name in message_names
+            self._joints.get(name, NOBODY if name in motor_names else name)
+            for name in message_names
         )
 
     def _only_motor(self) -> tuple[str, ...]:

@@ -9,21 +9,31 @@ follow, so that every door leads to the same choice (docs/METHOD.md, Which speed
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate
-from gray_box_observer.context_nodes.pieces import MOST_PIECES, Pieces, WorkBudget
+from gray_box_observer.context_nodes.pieces import MOST_PIECES, SAVED, Pieces, WorkBudget
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_form import MotorForm, residual_a
 from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, entry, flag, group, whole
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    LATEST_NS,
+    MOST,
+    entry,
+    flag,
+    group,
+    number_or_none,
+    whole,
+)
 from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -62,10 +72,32 @@ HALF = 0.5
 LONGEST_REASON = 500
 """Characters of a reason."""
 
+CATCH_UP, WORK_A_CATCH = 64, 3072
+"""Samples that a form takes over in one piece of work, once it is adopted, and what that costs."""
+
+LONGEST_BACKLOG = 4096
+"""Newest samples that have come during a trial, of which the form that is adopted learns."""
+
+FINISHED = 16 * SAVED
+"""Work that is done of a trial at the end of a recording, at most: about a second's."""
+
 _TELLING = ('inductance', 'resistance', 'inertia')
 
 
-_TRIAL = 'trial'
+_TRIAL, _BACKLOG = 'trial', 'backlog'
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What a trial has ended with.
+
+    Attributes:
+        form: that the motor goes over to; None: it keeps its own.
+        reason: why.
+    """
+
+    form: MotorForm | None
+    reason: str
 
 
 @dataclass(slots=True)
@@ -74,18 +106,25 @@ class _Trial:
 
     Attributes:
         content: shape (signal, 1, n): samples that it rests on.
-        place: of the newest of them.
-        stamp_ns: of the same.
-        pieces: how many were done before it was saved.
-        work: its pieces, which end with the form that the motor goes over to, or None; None: it was
-            saved and has not gone on yet.
+        stamp_ns: of the newest of them.
+        before_a: root mean square in A of the residual that the form in force leaves of them.
+        backlog: shape (signal,) each: samples that have come since.
+        taken: how many of them a form that was found has taken over; None: none was found yet.
     """
 
     content: Array
-    place: int
     stamp_ns: int
-    pieces: int = 0
-    work: Pieces[MotorForm | None] | None = None
+    before_a: float
+    backlog: list[Array] = field(default_factory=list)
+    taken: int | None = None
+
+    def take(self, samples: Array) -> None:
+        """Remember samples that have come, shape (signal, 1, n); of very many the newest."""
+        self.backlog.extend(samples[:, 0].T.copy())
+        gone = len(self.backlog) - LONGEST_BACKLOG
+        if gone > 0 and self.taken is None:
+            del self.backlog[:gone]
+            self.backlog[0][INTERVAL] = 0.0  # the signal history begins here
 
 
 class SpeedChoice:
@@ -98,6 +137,7 @@ class SpeedChoice:
 
     Attributes:
         source: where the speed comes from now.
+        is_idle: whether nothing is to be done until the fit is tested again.
     """
 
     def __init__(
@@ -107,10 +147,13 @@ class SpeedChoice:
         self._reason = printable(reason, LONGEST_REASON)
         self._refusal = ''
         self._make = make
+        self.is_idle = make is None
         self._due = self._wait = FEWEST
         self._trials = 0
         self._budget = WorkBudget()
         self._trial: _Trial | None = None
+        self._work: Pieces[_Outcome] | None = None  # of the trial
+        self._seen = 0  # place of the newest sample
 
     @property
     def reason(self) -> str:
@@ -123,7 +166,7 @@ class SpeedChoice:
         return self._make is not None
 
     def step(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
+        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, sample: Sample
     ) -> MotorForm | None:
         """Go on with the trial of the other form, or begin one where it is due.
 
@@ -131,40 +174,75 @@ class SpeedChoice:
             white_box: the physics in force.
             nodes: the rule in force.
             fit: what is known of its fit.
-            stamp_ns: stamp of the newest sample.
+            sample: the newest one.
 
         Returns:
             The other form, where the motor goes over to it.
         """
         if self._make is None:
             return None
-        self._budget.grant()
-        is_doubted = self._is_doubted(fit)
+        received, is_doubted = int(nodes.replay.received[0]), self._is_doubted(fit)
+        self._budget.grant(float(sample.interval_s[0]), max(0, received - self._seen))
+        self.is_idle = not is_doubted and self._trial is None
         if not is_doubted:
             self._refusal = ''
+        elif not self._refusal:
+            self._refusal = self._why_not_yet()
+        new = min(received - self._seen, nodes.replay.stored(0))
+        if self._trial is not None and new > 0:
+            self._trial.take(nodes.replay.newest(new))
+        self._seen = received
         if self._trial is None:
-            received = int(nodes.replay.received[0])
             if not is_doubted or received < self._due:
                 return None
-            self._trial = self._begun(white_box, nodes, received, stamp_ns)
-        trial = self._trial
-        if trial is None:
+            self._begin(white_box, nodes, received, sample.stamp_ns)
+        if self._work is None:
             return None
-        if trial.work is None:
-            trial.work = self._compared(white_box, nodes, trial.content, trial.stamp_ns)
-            self._budget.repeat(trial.work, trial.pieces)
-        has_ended, form = self._budget.advance(trial.work)
+        has_ended, outcome = self._budget.advance(self._work)
         if not has_ended:
             return None
-        self._trial = None
-        received = int(nodes.replay.received[0])
+        assert outcome is not None
+        return self._ended(outcome, sample.stamp_ns, received, is_doubted=is_doubted)
+
+    def finish(self, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int) -> MotorForm | None:
+        """Do what is left of a trial, for no samples will come; see :meth:`step`."""
+        if self._work is None:
+            return None
+        done = 0
+        while done < FINISHED:
+            try:
+                done += next(self._work)
+            except StopIteration as end:
+                is_doubted = self._is_doubted(fit)
+                received = int(nodes.replay.received[0])
+                return self._ended(end.value, stamp_ns, received, is_doubted=is_doubted)
+            self._budget.pieces += 1
+        return None
+
+    def _ended(
+        self, outcome: _Outcome, stamp_ns: int, received: int, *, is_doubted: bool
+    ) -> MotorForm | None:
+        """Draw the consequence of a trial."""
+        trial, self._trial, self._work = self._trial, None, None
+        assert trial is not None
+        self._budget.pieces = 0
+        form = outcome.form
         if form is None or not is_doubted:
             self._due = received + self._wait
+            self._refusal = outcome.reason if is_doubted else ''
             return None
         self.source = OTHER[self.source]
-        form.catch_up(_newer(nodes, received - trial.place), stamp_ns)
-        self._due = int(form.context_nodes.replay.received[0]) + self._wait
+        self._reason, self._refusal = outcome.reason, ''
+        left = trial.backlog[trial.taken or 0 :]
+        if left:
+            form.catch_up(_content(left), stamp_ns)
+        self._seen = int(form.context_nodes.replay.received[0])
+        self._due = self._seen + self._wait
         return form
+
+    def wake(self) -> None:
+        """Take note that the fit was tested: what was idle goes on."""
+        self.is_idle = self._make is None
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         if fit.verdict is FitVerdict.MISFIT:
@@ -172,55 +250,76 @@ class SpeedChoice:
         leads = bool(fit.suspects) and fit.suspects[0].effect == ROTOR
         return leads and fit.verdict is FitVerdict.WARNING
 
-    def _begun(
+    def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, received: int, stamp_ns: int
-    ) -> _Trial | None:
-        """Begin a trial on what is remembered; None where the voltage has hardly moved."""
+    ) -> None:
+        """Begin a trial on what is remembered, unless the voltage has hardly moved."""
         replay = nodes.replay
         count = min(replay.stored(0), replay.capacity, NEWEST)
         content = replay.newest(count).copy()
-        if Window.from_samples(white_box, content[:, 0]).moves < FEWEST_MOVES:
+        if not _can_tell(white_box, content):
             self._due = received + FEWEST
             self._refusal = (
                 f'{IN_WORDS[self.source]} does not explain the data, but the voltage has hardly '
                 f'moved: {IN_WORDS[OTHER[self.source]]} cannot be told'
             )
-            return None
+            return
         self._trials += 1
+        self._refusal = self._why_not_yet()
         self._wait = min(max(2 * self._wait, received), LONGEST_WAIT)
-        return _Trial(content, received, stamp_ns)
+        self._go_on(_Trial(content, stamp_ns, residual_a(white_box, nodes, content)), white_box)
 
-    def _compared(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, content: Array, stamp_ns: int
-    ) -> Pieces[MotorForm | None]:
+    def _go_on(self, trial: _Trial, white_box: MotorWhiteBox) -> None:
+        self._trial = trial
+        self._work = self._tried(trial, len(white_box.parameters))
+
+    def _tried(self, trial: _Trial, parameters: int) -> Pieces[_Outcome]:
+        """Compare the other form, and let it take over what has come since where it is better.
+
+        Nothing is read but what is saved with the trial.
+        """
+        outcome = yield from self._compared(trial, parameters)
+        if outcome.form is None:
+            return outcome
+        trial.taken = 0
+        while len(trial.backlog) - trial.taken > CATCH_UP:
+            part = trial.backlog[trial.taken : trial.taken + CATCH_UP]
+            outcome.form.catch_up(_content(part), trial.stamp_ns)
+            trial.taken += CATCH_UP
+            yield WORK_A_CATCH
+        return outcome
+
+    def _compared(self, trial: _Trial, parameters: int) -> Pieces[_Outcome]:
         """Fit the other form; return it where it explains the data clearly better."""
         assert self._make is not None
+        content, stamp_ns, before_a = trial.content, trial.stamp_ns, trial.before_a
         total = content.shape[2]
         for count in [*(look for look in LOOKS if look < total), total]:
             other = self._make(OTHER[self.source])
             estimate = yield from other.learn_remembered(content[:, :, -count:], stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
-                self._refusal = self._why_not(fit, estimate)
-                return None
+                return _Outcome(None, self._why_not(fit, estimate))
         left_a = other.residual(content)
-        before_a = residual_a(white_box, nodes, content)
-        gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
+        gain = _gain(content, before_a, left_a, estimate, parameters)
         if _explains(fit, left_a, before_a) and _is_told(estimate) and gain > EVIDENCE:
             same = self._make(self.source)  # the form in force may be in the midst of learning
             yield from same.learn_remembered(content, stamp_ns)
             before_a = min(before_a, same.residual(content))
-            gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
+            gain = _gain(content, before_a, left_a, estimate, parameters)
         if not (_explains(fit, left_a, before_a) and _is_told(estimate) and gain > EVIDENCE):
-            self._refusal = self._why_not(fit, estimate)
-            return None
-        self._refusal = ''
-        self._reason = (
+            return _Outcome(None, self._why_not(fit, estimate))
+        return _Outcome(
+            other,
             f'{IN_WORDS[OTHER[self.source]]} explains the data: the residual of its free run is '
             f'{fit.ratio:.3g} times the noise, that of {IN_WORDS[self.source]} '
-            f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood {gain:.3g})'
+            f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood {gain:.3g})',
         )
-        return other
+
+    def _why_not_yet(self) -> str:
+        """Say that the other form is still to be tried."""
+        here, there = IN_WORDS[self.source], IN_WORDS[OTHER[self.source]]
+        return f'{here} does not explain the data, and too few samples have come to try {there}'
 
     def _why_not(self, fit: FitAssessment, estimate: Estimate) -> str:
         """Say why the other form was not taken."""
@@ -244,19 +343,38 @@ class SpeedChoice:
             'wait': self._wait,
             'trials': self._trials,
             'credit': self._budget.credit,
+            'seen': self._seen - received,
+            'is_idle': self.is_idle,
         }
-        if self._trial is None:
-            return plain, {}
         trial = self._trial
+        if trial is None:
+            return plain, {}
         plain['trial'] = {
-            'place': trial.place - received,
             'stamp_ns': trial.stamp_ns,
-            'pieces': trial.pieces if trial.work is None else self._budget.pieces,
+            'before_a': trial.before_a if math.isfinite(trial.before_a) else None,
+            'pieces': self._budget.pieces,
         }
-        return plain, {_TRIAL: trial.content.copy()}
+        arrays = {_TRIAL: trial.content.copy()}
+        if trial.backlog:
+            arrays[_BACKLOG] = _content(trial.backlog)
+        return plain, arrays
 
-    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, Array], received: int) -> None:
+    def restore(
+        self,
+        plain: Mapping[str, Any],
+        arrays: Mapping[str, Array],
+        white_box: MotorWhiteBox,
+        received: int,
+    ) -> None:
         """Take back what :meth:`state` gave; a source that is settled stays as it is settled now.
+
+        Pieces of a trial that had been done are done again.
+
+        Args:
+            plain: of a state.
+            arrays: of the same.
+            white_box: the physics in force.
+            received: place of the newest sample.
 
         Raises:
             CheckpointError: it is no state that a choice could have been in.
@@ -270,28 +388,44 @@ class SpeedChoice:
             raise CheckpointError('speed.source is none of those that there are')
         if not (self.is_open and was_open):
             return
-        trial = None
-        if 'trial' in plain:
-            check_signals(_TRIAL, arrays.get(_TRIAL))
-            own = group(plain, 'trial')
-            trial = _Trial(
-                arrays[_TRIAL],
-                received + whole(own, 'place', -MOST, 0),
-                whole(own, 'stamp_ns', -LATEST_NS, LATEST_NS),
-                whole(own, 'pieces', 0, MOST_PIECES),
-            )
         self._budget = WorkBudget.restored(plain)
-        self._trial = trial
+        self._trial = self._work = None
         self._reason, self._refusal = reasons
         self._due, self._wait, self._trials = received + due, wait, trials
+        self._seen = received
+        if 'seen' in plain:  # not in files of early releases
+            self._seen += whole(plain, 'seen', -MOST, 0)
+            self.is_idle = flag(plain, 'is_idle') and 'trial' not in plain
+        if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
+            self._resume(group(plain, 'trial'), arrays, white_box)
+
+    def _resume(
+        self, plain: Mapping[str, Any], arrays: Mapping[str, Array], white_box: MotorWhiteBox
+    ) -> None:
+        """Do the pieces of a saved trial again."""
+        check_signals(_TRIAL, arrays.get(_TRIAL), longest=NEWEST)
+        if not _can_tell(white_box, arrays[_TRIAL]):
+            raise CheckpointError(f'{_TRIAL} holds samples that no trial begins with')
+        before_a = number_or_none(plain, 'before_a', 0.0, LARGEST)
+        stamp_ns = whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
+        pieces = whole(plain, 'pieces', 0, MOST_PIECES)
+        trial = _Trial(arrays[_TRIAL], stamp_ns, math.inf if before_a is None else before_a)
+        if _BACKLOG in arrays:
+            check_signals(_BACKLOG, arrays[_BACKLOG], longest=2 * LONGEST_BACKLOG)
+            trial.backlog.extend(arrays[_BACKLOG][:, 0].T.copy())
+        self._go_on(trial, white_box)
+        assert self._work is not None
+        self._budget.repeat(self._work, pieces)
 
 
-def _newer(nodes: ContextUpdate, count: int) -> Array:
-    """Return so many of the newest samples, (signal, 1, n), or as many as there are."""
-    content = nodes.replay.newest(min(count, nodes.replay.stored(0))).copy()
-    if 0 < content.shape[2] < count:
-        content[INTERVAL, :, 0] = 0.0  # what came before is gone: the signal history begins here
-    return content
+def _content(backlog: Sequence[Array]) -> Array:
+    """Put samples side by side, shape (signal, 1, n)."""
+    return np.stack(backlog, axis=1)[:, None]
+
+
+def _can_tell(white_box: MotorWhiteBox, content: Array) -> bool:
+    """Tell whether the voltage has moved often enough to tell a rotor."""
+    return Window.from_samples(white_box, content[:, 0]).moves >= FEWEST_MOVES
 
 
 def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:

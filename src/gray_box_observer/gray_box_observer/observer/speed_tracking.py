@@ -25,7 +25,7 @@ class SpeedTracking:
 
     Attributes:
         newest: the speed at the newest sample; None where none may be believed.
-        followed: the same, whether the white box explains the data or not; None where R is not
+        estimate: the same, whether the white box explains the data or not; None where R is not
             known.
         stall: whether the rotor stands still though it is driven.
     """
@@ -38,7 +38,7 @@ class SpeedTracking:
         self._resistance_std = 0.0
         self._constants = 0.0, 0.0
         self.newest: SpeedEstimate | None = None
-        self.followed: SpeedEstimate | None = None
+        self.estimate: SpeedEstimate | None = None
         self.stall = StallWatch()
 
     def believe(self, theta: Array, covariance: Array, fit: FitAssessment) -> None:
@@ -55,13 +55,13 @@ class SpeedTracking:
             if name in ('inductance', 'resistance')
         ]
         stds = {place: math.sqrt(max(float(covariance[place, place]), 0.0)) for place in places}
-        known = {place: std < LARGEST_STD * float(theta[place]) for place, std in stds.items()}
+        is_known = {place: std < LARGEST_STD * float(theta[place]) for place, std in stds.items()}
         # L may be withheld for its stamps alone, which hardly moves the speed
-        self._is_known = known[places[-1]]
+        self._is_known = is_known[places[-1]]
         resistance = self._white_box.known.get('resistance', theta[places[-1]])
         self._constants = float(resistance), float(self._white_box.known['back_emf_constant'])
         self._resistance_std = stds[places[-1]] if len(places) > 1 else 0.0
-        self._is_credible = all(known.values()) and fit.verdict is not FitVerdict.MISFIT
+        self._is_credible = all(is_known.values()) and fit.verdict is not FitVerdict.MISFIT
 
     def step(self, sample: Sample, theta: Array) -> SpeedEstimate | None:
         """Go on by one sample; return its speed where that may be believed.
@@ -71,15 +71,15 @@ class SpeedTracking:
             theta: shape (parameter,): what is known of the motor now.
         """
         torque_constant = float(self._white_box.torque_constant)
-        noise_a = float(self._nodes.noise_std_nm[0]) / torque_constant
+        noise_a = self._nodes.noise_a
         interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
         current_a = float(sample.torque_nm[0]) / torque_constant
-        self.followed = None
+        self.estimate = None
         if self._is_known:
-            self.followed = self._filter.step(
+            self.estimate = self._filter.step(
                 theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
             )
-        self.newest = self.followed if self._is_credible else None
+        self.newest = self.estimate if self._is_credible else None
         speed_rad_s = None if self.newest is None else self.newest.speed_rad_s
         self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
         return self.newest

@@ -86,16 +86,16 @@ class ResidualAlarm:
         self._variance, self._product = self._all(0.0), self._all(0.0)
         self._previous = self._all(0.0)
         self._interval_s = self._all(0.0)
-        self._learnt = self._all(0)
-        self._taken = 0
+        self._learnt_count = self._all(0)
+        self._update_count = 0
         self._scale, self._limit = self._all(0.0), self._all(np.inf)
         self._threshold = self._all(np.inf)
-        self._raised = self._all(False)
+        self._is_raised = self._all(False)
 
     @property
-    def raised(self) -> NDArray[np.bool_]:
+    def is_raised(self) -> NDArray[np.bool_]:
         """For which motors the alarm stands, shape (motor,)."""
-        return self._axis.to_array(self._raised)
+        return self._axis.to_array(self._is_raised)
 
     @property
     def count(self) -> NDArray[np.int_]:
@@ -103,15 +103,15 @@ class ResidualAlarm:
         return self._axis.to_array(self._count)
 
     @property
-    def armed(self) -> NDArray[np.bool_]:
+    def is_armed(self) -> NDArray[np.bool_]:
         """Whether enough is known of the residual to judge it, shape (motor,)."""
-        return self._axis.to_array(self._learnt >= self.rules.learn)
+        return self._axis.to_array(self._learnt_count >= self.rules.learn)
 
     @property
     def spread(self) -> Array:
         """Standard deviation of the residual in N m, shape (motor,); NaN while nothing is known."""
         sample_count, variance = (
-            self._axis.to_array(self._learnt),
+            self._axis.to_array(self._learnt_count),
             self._axis.to_array(self._variance),
         )
         spread: Array = np.sqrt(np.where(sample_count > 0, variance, np.nan))
@@ -144,37 +144,39 @@ class ResidualAlarm:
         )
         usable = ops.isfinite(measured_residual) & (interval > 0.0)
         residual = ops.where(usable, measured_residual, 0.0)
-        before, threshold = self._raised, self._threshold
-        judged = usable & (self._learnt >= self.rules.learn) & (is_known | before)
+        before, threshold = self._is_raised, self._threshold
+        is_judged = usable & (self._learnt_count >= self.rules.learn) & (is_known | before)
         scaled_residual = self._between(residual * self._scale, -CLIP, CLIP)
         # capped, so that the sums come down again when the fault has gone
         self._up = ops.where(
-            judged,
+            is_judged,
             self._between(self._up + scaled_residual - REFERENCE, 0.0, 2.0 * threshold),
             self._up,
         )
         self._down = ops.where(
-            judged,
+            is_judged,
             self._between(self._down - scaled_residual - REFERENCE, 0.0, 2.0 * threshold),
             self._down,
         )
         over = ops.maximum(self._up, self._down)
-        self._raised = (over >= threshold) | (before & (over > 0.0))
-        calm = ops.logical_not(self._raised)
-        self._count = self._count + (self._raised & ops.logical_not(before))
+        self._is_raised = (over >= threshold) | (before & (over > 0.0))
+        calm = ops.logical_not(self._is_raised)
+        self._count = self._count + (self._is_raised & ops.logical_not(before))
         self._follow(residual, interval, usable & is_known & calm & (over < 0.5 * threshold))
-        if self._taken % REFRESH == 0:
+        if self._update_count % REFRESH == 0:
             self._refresh(is_known)
-        self._taken += 1
-        return self.raised
+        self._update_count += 1
+        return self.is_raised
 
     def _follow(self, residual: Any, interval_s: Any, is_calm: Any) -> None:
         """Follow the residual's spread and correlation while all is well."""
         ops = self._axis.ops
-        self._learnt = self._learnt + is_calm
-        share = is_calm / self._between(self._learnt, 1, self.rules.memory)
-        bounded = self._between(residual, -self._limit, self._limit)
-        clipped_residual = ops.where(self._learnt >= self.rules.learn, bounded, residual)
+        self._learnt_count = self._learnt_count + is_calm
+        share = is_calm / self._between(self._learnt_count, 1, self.rules.memory)
+        bounded_residual = self._between(residual, -self._limit, self._limit)
+        clipped_residual = ops.where(
+            self._learnt_count >= self.rules.learn, bounded_residual, residual
+        )
         self._variance = self._variance + share * (
             clipped_residual * clipped_residual - self._variance
         )
@@ -184,10 +186,10 @@ class ResidualAlarm:
 
     def _refresh(self, is_identified: Any) -> None:
         """Work out again what changes slowly; forget sums from before identification."""
-        ops, armed, counts = (
+        ops, is_armed, counts = (
             self._axis.ops,
-            self._learnt >= self.rules.learn,
-            is_identified | self._raised,
+            self._learnt_count >= self.rules.learn,
+            is_identified | self._is_raised,
         )
         correlation = ops.clip(self._product / ops.maximum(self._variance, 1e-300), 0.0, 0.99)
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
@@ -195,7 +197,7 @@ class ResidualAlarm:
         self._limit = CLIP * ops.sqrt(self._variance)
         samples = SECONDS_A_DAY / self.rules.false_a_day / ops.maximum(self._interval_s, 1e-9)
         thresholds = threshold_for(samples) if self._axis.single else thresholds_for(samples)
-        self._threshold = ops.where(armed, thresholds, np.inf)
+        self._threshold = ops.where(is_armed, thresholds, np.inf)
         self._up, self._down = ops.where(counts, self._up, 0.0), ops.where(counts, self._down, 0.0)
 
     def _between(self, values: Any, low: Any, high: Any) -> Any:
@@ -207,11 +209,11 @@ class ResidualAlarm:
         """Everything learnt of one motor, for a checkpoint."""
         motor_slice = slice(motor, motor + 1)
         values = {
-            name: self._axis.to_array(getattr(self, f'_{name}'))[motor_slice].copy()
-            for name in _ARRAYS
+            name: self._axis.to_array(getattr(self, attribute))[motor_slice].copy()
+            for name, attribute in _ARRAYS.items()
         }
         sums = np.stack([values.pop('up'), values.pop('down')])
-        return {'sums': sums, **values, 'taken': np.array(self._taken)}
+        return {'sums': sums, **values, 'taken': np.array(self._update_count)}
 
     def restore(self, arrays: dict[str, Any], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor.
@@ -221,17 +223,28 @@ class ResidualAlarm:
         """
         check_arrays(arrays, _SAVED)
         values = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
-        for name in _ARRAYS:
-            all_told = self._axis.to_array(getattr(self, f'_{name}')).copy()
-            all_told[motor] = values[name][0]
-            setattr(self, f'_{name}', self._axis.to_operand(all_told))
-        self._taken = int(arrays['taken'])
+        for name, attribute in _ARRAYS.items():
+            all_motors = self._axis.to_array(getattr(self, attribute)).copy()
+            all_motors[motor] = values[name][0]
+            setattr(self, attribute, self._axis.to_operand(all_motors))
+        self._update_count = int(arrays['taken'])
 
 
-_ARRAYS = (
-    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit',
-    'threshold', 'raised', 'count',
-)  # fmt: skip
+_ARRAYS = {
+    'up': '_up',
+    'down': '_down',
+    'variance': '_variance',
+    'product': '_product',
+    'previous': '_previous',
+    'interval_s': '_interval_s',
+    'learnt': '_learnt_count',
+    'scale': '_scale',
+    'limit': '_limit',
+    'threshold': '_threshold',
+    'raised': '_is_raised',
+    'count': '_count',
+}
+"""Attributes that are saved, by their names in checkpoints."""
 
 _SAVED = {
     'sums': ArrayRule((2, 1), 0.0, LARGEST),

@@ -29,9 +29,9 @@ def fresh(hidden: int, seed: int) -> Weights:
 def first_network(rules: TrainingSettings, seed: int) -> Weights:
     """Return the network to begin with; a fresh one where the shipped one's size differs."""
     if rules.start == 'shipped':
-        shipped = load(SHIPPED)
-        if shipped.hidden == rules.hidden:
-            return shipped
+        shipped_network = load(SHIPPED)
+        if shipped_network.hidden == rules.hidden:
+            return shipped_network
     return fresh(rules.hidden, seed)
 
 

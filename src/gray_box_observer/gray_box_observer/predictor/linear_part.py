@@ -183,10 +183,10 @@ class LinearPart:
     def say(self, inputs: Array) -> Array:
         """Return the weighted sum of features over their last axis, fading beyond the taught."""
         beyond = (np.abs(inputs) / np.maximum(self.reach, 1e-12)).max(axis=-1)
-        trusted = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
+        trust = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
         output: Array = (
             inputs @ self.weight + _bounded_voltages(inputs, self.bend_v) @ self.bent
-        ) * trusted
+        ) * trust
         return output
 
 

@@ -243,12 +243,14 @@ def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> t
     gates = weights @ ops.concatenate((inputs.T, memory.hidden.T))
     gates += bias
     ops.tanh(gates, out=gates)
-    proposed = 1.0 * gates[2 * n : 3 * n]  # a copy, by numpy and torch alike: gates are overwritten
+    candidate = (
+        1.0 * gates[2 * n : 3 * n]
+    )  # a copy, by numpy and torch alike: gates are overwritten
     gates *= 0.5  # now the logistic function, safe at both ends
     gates += 0.5
-    proposed *= gates[:n]
+    candidate *= gates[:n]
     cell = gates[n : 2 * n] * memory.cell.T
-    cell += proposed
+    cell += candidate
     hidden = ops.tanh(cell)
     hidden *= gates[3 * n :]
     return output @ hidden + output_bias, Memory(hidden.T, cell.T)

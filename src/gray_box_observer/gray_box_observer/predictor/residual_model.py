@@ -326,8 +326,8 @@ class ResidualForecaster:
             return
         blank = Recollection.blank(self._motors, model.weights.hidden)
         before = self._memory if self.is_active and self._memory is not None else blank
-        traced = blank.traces if newest is None else _traced(newest, model.interval_s)
-        self.correction, self._memory = model, Recollection(before.network, traced)
+        traces = blank.traces if newest is None else _traced(newest, model.interval_s)
+        self.correction, self._memory = model, Recollection(before.network, traces)
 
 
 def _traced(newest: Mapping[str, Array], pace_s: float) -> Array:

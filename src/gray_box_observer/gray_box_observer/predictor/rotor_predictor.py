@@ -24,6 +24,7 @@ from gray_box_observer.predictor.residual_model import Recollection
 from gray_box_observer.predictor.steady_state import Course
 from gray_box_observer.predictor.torque_predictor import Prediction, TorquePredictor
 from gray_box_observer.predictor.training.training_backend import Training
+from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_arrays
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -40,6 +41,8 @@ LEAST_V = 1e-3
 
 MOST = 100.0
 """Times the no-load speed and the stalled motor's current beyond which the run is given up."""
+
+_LARGEST_V = 'largest_voltage_v'
 
 PIECES = 32
 """Equal parts of a long forecast, at most: every part has a bounded number of steps."""
@@ -168,6 +171,18 @@ class RotorPredictor(TorquePredictor):
             None if prediction.physics_nm is None else prediction.torque_nm - prediction.physics_nm
         )
         self.residual.remember(added_nm, anew, prediction.residual_memory)
+
+    def state(self, motor: int = 0) -> dict[str, Array]:
+        """What the motor has learnt, see :class:`TorquePredictor`, and its largest voltage."""
+        return {**super().state(motor), _LARGEST_V: np.array([self._largest_v])}
+
+    def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave; see :class:`TorquePredictor`."""
+        if _LARGEST_V in arrays:  # not in files of releases that did not remember it
+            check_arrays(arrays, {_LARGEST_V: ArrayRule((1,), LEAST_V, LARGEST_SIGNAL)})
+        super().restore(arrays, motor)
+        if _LARGEST_V in arrays:
+            self._largest_v = float(arrays[_LARGEST_V][0])
 
     def _begun(self, sample: Sample, speed: SpeedEstimate | None) -> Array | None:
         """Return the states that a run begins with; None where the speed is not yet known."""

@@ -66,11 +66,11 @@ class Scores:
             rival: np.abs(values[rows, motor] - torque_nm)
             for rival, values in self._predictions.items()
         }
-        scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
-        count = int(scored.sum())
+        is_scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
+        count = int(is_scored.sum())
         if count < 2:
             return Skill(count, None, None, None)
-        mae = {rival: float(np.mean(error[scored])) for rival, error in errors.items()}
+        mae = {rival: float(np.mean(error[is_scored])) for rival, error in errors.items()}
         spread = float(np.nanstd(torque_nm))
         return Skill(
             count,

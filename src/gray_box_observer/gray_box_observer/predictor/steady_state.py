@@ -67,7 +67,7 @@ class Course:
         voltage_v: held voltage.
         speed_rad_s: held speed, where it is measured.
         steady_a: current at which the voltage balances, in A.
-        settling: decay rate there, ``lambda_s``, in 1/s.
+        decay_rate: how fast a deviation decays there, ``lambda_s``, in 1/s.
         near_a: distance from the steady state below which the slope there stands for the chord, in
             A.
     """
@@ -76,7 +76,7 @@ class Course:
     voltage_v: Any
     speed_rad_s: Any
     steady_a: Any
-    settling: Any
+    decay_rate: Any
     near_a: Any
 
     def select(self, index: NDArray[np.intp]) -> Course:
@@ -89,7 +89,7 @@ class Course:
     @property
     def signals(self) -> tuple[Any, ...]:
         """Everything but theta, in the order of the attributes."""
-        return self.voltage_v, self.speed_rad_s, self.steady_a, self.settling, self.near_a
+        return self.voltage_v, self.speed_rad_s, self.steady_a, self.decay_rate, self.near_a
 
 
 def gap_v(balance: Balance, theta: Sequence[Any], voltage_v: Any, signals: tuple[Any, ...]) -> Any:
@@ -136,12 +136,12 @@ def course(
         gap = gap_v(balance, theta, voltage_v, signals)
         slope = slope_ohm(balance, theta, voltage_v, signals)
         low, high = ops.where(gap > 0.0, state, low), ops.where(gap > 0.0, high, state)
-        bracketed = high - low < math.inf
-        middle = 0.5 * (ops.where(bracketed, low, 0.0) + ops.where(bracketed, high, 0.0))
+        is_bracketed = high - low < math.inf
+        middle = 0.5 * (ops.where(is_bracketed, low, 0.0) + ops.where(is_bracketed, high, 0.0))
         newton = state + gap / slope
         move, near = abs(newton - state), 1e-9 * (abs(newton) + abs(voltage_v) / slope) + 1e-300
         good = (move <= near) | ((newton >= low) & (newton <= high) & (move <= 0.5 * last))
-        trial = ops.where(good, newton, ops.where(bracketed, middle, newton))
+        trial = ops.where(good, newton, ops.where(is_bracketed, middle, newton))
         last, state = abs(trial - state), trial
         if ops.all(last <= near):  # Newton is quadratic: the next step would be lost in rounding
             break
@@ -158,7 +158,7 @@ def _chord(ops: Any, balance: Balance, way: Course, state: Any) -> Any:
     far = abs(distance) > way.near_a
     gap = gap_v(balance, way.theta, way.voltage_v, balance.signals((state,), way.speed_rad_s))
     slope = gap / way.theta[0] / ops.where(far, -distance, 1.0)
-    return ops.maximum(ops.where(far, slope, way.settling), SLOWEST)
+    return ops.maximum(ops.where(far, slope, way.decay_rate), SLOWEST)
 
 
 def flow(
@@ -221,7 +221,7 @@ class _Begin:
 
 def _begin(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> _Begin:
     here = chord(ops, white_box, way, state)
-    fastest = ops.maximum(ops.maximum(here, way.settling), SLOWEST)
+    fastest = ops.maximum(ops.maximum(here, way.decay_rate), SLOWEST)
     return _Begin(state, here, fastest, ops.log1p(fastest * interval_s))
 
 
@@ -261,8 +261,8 @@ class Relaxation:
         state: current at the start, in A.
         distance: from the steady state to there, in A.
         duration: ``h c(i0)``, the interval in units of the present time constant.
-        settling: ``log(lambda_s / c(i0))``: whether it will go faster (above 0) or slower at the
-            end.
+        log_end_rate: ``log(lambda_s / c(i0))``: whether it will go faster (above 0) or slower at
+            the end.
         halfway: ``log(c(middle) / c(i0))``, likewise in the middle of the way.
         start, goal: the start and the steady state as fractions of the sum of their magnitudes.
     """
@@ -270,7 +270,7 @@ class Relaxation:
     state: Any
     distance: Any
     duration: Any
-    settling: Any
+    log_end_rate: Any
     halfway: Any
     start: Any
     goal: Any
@@ -278,7 +278,7 @@ class Relaxation:
     def inputs(self, ops: Any) -> list[Any]:
         """Columns of the network's input, each of order 1."""
         return [
-            self.settling,
+            self.log_end_rate,
             self.halfway,
             ops.clip(0.5 * ops.log(self.duration), -MOST, MOST),
             self.start,
@@ -302,7 +302,7 @@ def relaxation(
         state,
         state - way.steady_a,
         ops.clip(here * interval_s, SHORTEST, LONGEST),
-        ops.clip(ops.log(ops.maximum(way.settling, SLOWEST) / here), -MOST, MOST),
+        ops.clip(ops.log(ops.maximum(way.decay_rate, SLOWEST) / here), -MOST, MOST),
         ops.clip(ops.log(middle / here), -MOST, MOST),
         state / magnitude,
         way.steady_a / magnitude,
@@ -312,11 +312,11 @@ def relaxation(
 def exponent(ops: Any, interval: Relaxation, readout: Any) -> Any:
     """Mean decay rate times length of the interval, ``h c_mean``; numpy, floats or torch.
 
-    ``log(c_mean / c(i0)) = g (settling + d n)``: ``g`` is how far the mean has moved from its start
-    towards its end if the approach were a plain exponential, ``n`` the network's answer, ``d`` how
-    much the rate varies at all. So, whatever the weights: the slope is that of the white box where
-    the interval is short, the end is its steady state where it is long, and a linear motor is
-    exact. A fresh network says 0.
+    ``log(c_mean / c(i0)) = g (log_end_rate + d n)``: ``g`` is how far the mean has moved from its
+    start towards its end if the approach were a plain exponential, ``n`` the network's answer,
+    ``d`` how much the rate varies at all. So, whatever the weights: the slope is that of the white
+    box where the interval is short, the end is its steady state where it is long, and a linear
+    motor is exact. A fresh network says 0.
 
     Args:
         ops: whose functions.
@@ -324,9 +324,9 @@ def exponent(ops: Any, interval: Relaxation, readout: Any) -> Any:
         readout: output of the network; bounded here.
     """
     mean_share = 1.0 + ops.expm1(-interval.duration) / interval.duration
-    varies = abs(interval.settling) + abs(interval.halfway)
+    varies = abs(interval.log_end_rate) + abs(interval.halfway)
     answer = ANSWER * ops.tanh(readout / ANSWER)
-    return interval.duration * ops.exp(mean_share * (interval.settling + varies * answer))
+    return interval.duration * ops.exp(mean_share * (interval.log_end_rate + varies * answer))
 
 
 def after(ops: Any, interval: Relaxation, readout: Any) -> Any:

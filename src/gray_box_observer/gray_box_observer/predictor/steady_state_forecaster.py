@@ -68,10 +68,10 @@ class RelaxingForecaster:
         )
         interval = relaxation(np, self._white_box, way, start, instants_s)
         inputs = np.stack(interval.inputs(np), axis=-1).reshape(motors * count, INPUTS)
-        repeated = Memory(
+        repeated_memory = Memory(
             np.repeat(memory.hidden, count, axis=0), np.repeat(memory.cell, count, axis=0)
         )
-        readout, _ = step(self._weights, repeated, inputs)
+        readout, _ = step(self._weights, repeated_memory, inputs)
         end = after(np, interval, readout.reshape(motors, count))
         return self._white_box.output(np.where(usable, end, np.nan))
 

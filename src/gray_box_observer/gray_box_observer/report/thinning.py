@@ -64,8 +64,8 @@ def thinned(
         edges = np.flatnonzero(np.diff(bucket[order])) + 1
         places.append(order[np.concatenate(([0], edges))])
         places.append(order[np.concatenate((edges - 1, [order.size - 1]))])
-    occupied, first = np.unique(bucket, return_index=True)
-    places.append(first[~np.isin(occupied, bucket[finite])])
+    occupied_buckets, first = np.unique(bucket, return_index=True)
+    places.append(first[~np.isin(occupied_buckets, bucket[finite])])
     return np.unique(np.concatenate(places))
 
 

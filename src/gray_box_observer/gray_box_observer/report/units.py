@@ -86,12 +86,12 @@ def value_and_std(value: float, std: float, scale: Scale) -> tuple[str, str | No
     return written(value, decimals), written(std, decimals)
 
 
-def percent(fraction: float, signed: bool = False) -> str:
+def percent(fraction: float, has_sign: bool = False) -> str:
     """Write a fraction as a percentage with two significant digits."""
     if not math.isfinite(fraction):
         return 'not known'
     text = significant(abs(100.0 * fraction), 2)
-    sign = (MINUS if fraction < 0.0 else '+') if signed and fraction != 0.0 else ''
+    sign = (MINUS if fraction < 0.0 else '+') if has_sign and fraction != 0.0 else ''
     return f'{sign}{text}\N{NO-BREAK SPACE}%'
 
 

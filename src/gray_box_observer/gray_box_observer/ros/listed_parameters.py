@@ -15,14 +15,14 @@ from gray_box_observer.settings.parameters import ParameterSpec
 
 
 def declare(
-    node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, Any] | None = None
+    node: Node, specs: Sequence[ParameterSpec], priority_values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Declare every parameter and return the values by name.
 
     Args:
         node: Where they are declared.
         specs: The parameters.
-        preceding: Values that precede the given ones, such as those of the command line.
+        priority_values: Values that precede the given ones, such as those of the command line.
 
     Raises:
         ConfigurationError: a value of the wrong type or out of its range, or a name that nobody
@@ -32,7 +32,7 @@ def declare(
         name: parameter.value
         for name, parameter in getattr(node, '_parameter_overrides', {}).items()
     }
-    overrides.update(preceding or {})
+    overrides.update(priority_values or {})
     values = {spec.name: spec.check(overrides.get(spec.name, spec.default)) for spec in specs}
     for spec in specs:  # rclpy refuses 1 for 1.0, so what was checked is declared
         node.declare_parameter(spec.name, values[spec.name], describe(spec), ignore_override=True)

@@ -34,45 +34,45 @@ def missing_field(kind: Any, steps: Sequence[Step]) -> str:
         kind: message class.
         steps: names of fields, indices, and names of entries.
     """
-    walked, field_type = kind.__name__, kind
+    path, field_type = kind.__name__, kind
     has_names = False
     for step in steps:
         array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
         if isinstance(step, ByName):
             if array is None:
-                return f'{walked} is no array, so there is no [{step.name}]'
+                return f'{path} is no array, so there is no [{step.name}]'
             if not has_names:
-                return f'{walked} has no names beside it, so there is no [{step.name}]'
+                return f'{path} has no names beside it, so there is no [{step.name}]'
             field_type = _field_type(array['held'] or array['kind'])
-            walked += f'[{step.name}]'
+            path += f'[{step.name}]'
             continue
         if isinstance(step, int):
             if array is None:
-                return f'{walked} is no array, so there is no [{step}]'
+                return f'{path} is no array, so there is no [{step}]'
             most = array['count'] or array['most']
             if most is not None and step >= int(most):
-                return f'{walked} has at most {most} values, so there is no [{step}]'
+                return f'{path} has at most {most} values, so there is no [{step}]'
             field_type = _field_type(array['held'] or array['kind'])
-            walked += f'[{step}]'
+            path += f'[{step}]'
             continue
         if array is not None and has_names:  # every entry is meant
             field_type = _field_type(array['held'] or array['kind'])
             array = None
         if array is not None:
-            return f'{walked} is an array, so there is no field {step!r}: add an index'
+            return f'{path} is an array, so there is no field {step!r}: add an index'
         if isinstance(field_type, str):
-            return f'{walked} is a single value, so there is no field {step!r}'
+            return f'{path} is a single value, so there is no field {step!r}'
         fields = field_type.get_fields_and_field_types()
         if step not in fields:
-            return f'{walked} has no field {step!r}; there are: {", ".join(fields)}'
+            return f'{path} has no field {step!r}; there are: {", ".join(fields)}'
         has_names = has_names or any(name in fields for name in NAME_FIELDS)
         field_type = _field_type(fields[step])
-        walked += f'.{step}'
+        path += f'.{step}'
     array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
     last = field_type if array is None else _field_type(array['held'] or array['kind'])
     if not isinstance(last, str):
-        return f'{walked} holds no numbers; it has: {", ".join(last.get_fields_and_field_types())}'
-    return f'{walked} holds text, no numbers' if _TEXT.fullmatch(last) else ''
+        return f'{path} holds no numbers; it has: {", ".join(last.get_fields_and_field_types())}'
+    return f'{path} holds text, no numbers' if _TEXT.fullmatch(last) else ''
 
 
 def _field_type(type_name: str) -> Any:

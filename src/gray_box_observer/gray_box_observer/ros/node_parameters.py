@@ -41,11 +41,11 @@ def declare(node: Node) -> Configuration:
     declarations += [
         (name, configuration[name], describe(spec)) for name, spec in configuration.input_specs()
     ]
-    described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
+    descriptors = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
     for name, motor in configuration.motors.items():
         declarations += [
             (f'{name}.{own}', motor.values[own], descriptor)
-            for own, descriptor in described.items()
+            for own, descriptor in descriptors.items()
         ]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
     # as it was understood

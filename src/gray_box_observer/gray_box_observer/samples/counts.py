@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gray_box_observer.samples.rejection import Rejection
 
-Refused = dict[str, Counter[Rejection]]
+RefusalCounts = dict[str, Counter[Rejection]]
 """What could not be used, by signal and reason."""
 
 
@@ -15,31 +15,32 @@ Refused = dict[str, Counter[Rejection]]
 class PairingCounts:
     """What became of one motor's messages.
 
-    Of torque, ``received = used + refused + waiting``; of voltage, ``received = taken + refused``.
+    Of torque, ``received = used + refused + waiting``; of voltage, ``received = taken + refused``,
+    each a count.
 
     Attributes:
-        refused: what could not be used.
+        refusal_counts: what could not be used.
         received_torque: torques that came.
         received_voltage: voltages that came.
         taken_voltage: voltages that have come into force, or will.
-        used: torques that have become samples.
-        waiting: torques that wait for their voltage.
+        used_count: torques that have become samples.
+        waiting_count: torques that wait for their voltage.
         restarts: how often the clock was set back.
-        held: samples, of the group, completed by patience running out.
+        held_count: samples, of the group, completed by patience running out.
         delay_ns: by how much voltage is taken to act later than it is stamped.
     """
 
-    refused: Refused
+    refusal_counts: RefusalCounts
     received_torque: int
     received_voltage: int
     taken_voltage: int
-    used: int
-    waiting: int
+    used_count: int
+    waiting_count: int
     restarts: int
-    held: int
+    held_count: int
     delay_ns: int
 
     @property
     def rejected(self) -> Counter[Rejection]:
         """What could not be used, by reason, whatever signal it was of."""
-        return sum(self.refused.values(), Counter())
+        return sum(self.refusal_counts.values(), Counter())

@@ -51,7 +51,7 @@ class HeldVoltage:
 
     def restart(self) -> None:
         """Begin a new signal history; what is habit stays so."""
-        self._coming: deque[tuple[int, Any, _Pause | None]] = (
+        self._future_voltages: deque[tuple[int, Any, _Pause | None]] = (
             deque()
         )  # stamp, voltage, pause before it
         self._pauses = 0  # among those that are coming
@@ -60,22 +60,22 @@ class HeldVoltage:
         self.newest_ns: int | None = None
 
     def __len__(self) -> int:
-        return len(self._coming)
+        return len(self._future_voltages)
 
     @property
     def newest_v(self) -> Any:
         """The newest voltage in V; blank where it is not known."""
-        return self._coming[-1][1] if self._coming else self._held_v
+        return self._future_voltages[-1][1] if self._future_voltages else self._held_v
 
     @property
     def is_known(self) -> bool:
         """Whether the newest voltage is known."""
-        return bool(self._coming) or self._held_v is not self._blank
+        return bool(self._future_voltages) or self._held_v is not self._blank
 
     def known_at(self, stamp_ns: int) -> bool:
         """Whether it is known what was in force at the stamp of the last torque."""
         return self._held_v is not self._blank or (
-            bool(self._coming) and self._coming[0][0] <= stamp_ns
+            bool(self._future_voltages) and self._future_voltages[0][0] <= stamp_ns
         )
 
     @property
@@ -93,21 +93,21 @@ class HeldVoltage:
                 self._pauses += 1
             rhythm.update(interval_s)
         self.newest_ns = stamp_ns
-        self._coming.append((stamp_ns, voltage_v, pause))
+        self._future_voltages.append((stamp_ns, voltage_v, pause))
         if (
-            len(self._coming) > MAX_WAITING_VOLTAGES
+            len(self._future_voltages) > MAX_WAITING_VOLTAGES
         ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
     def _hold_next(self) -> None:
         """Let the next voltage be in force."""
-        self._held_ns, self._held_v, pause = self._coming.popleft()
+        self._held_ns, self._held_v, pause = self._future_voltages.popleft()
         self._pauses -= pause is not None
 
     def mean(self, start_ns: int, end_ns: int) -> Any:
         """Mean voltage over an interval from the last torque on, where it was known."""
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
-        for since_ns, voltage_v, _ in self._coming:
+        for since_ns, voltage_v, _ in self._future_voltages:
             if since_ns >= end_ns:
                 break
             if since_ns > cursor_ns:
@@ -130,7 +130,7 @@ class HeldVoltage:
             return None
         torque_silent = torque.silent(seconds(end_ns - start_ns))
         since_ns, until_ns = self._held_ns, None
-        for voltage_ns, _, pause in self._coming:
+        for voltage_ns, _, pause in self._future_voltages:
             if pause is not None and since_ns is not None and voltage_ns > start_ns:
                 overdue = seconds(min(voltage_ns, end_ns) - since_ns) > pause.limit_s
                 until_ns = voltage_ns if overdue and (pause.regular or torque_silent) else until_ns
@@ -153,9 +153,9 @@ class HeldVoltage:
             The voltage in force before the stamp, and one that begins there; blank where there is
             none.
         """
-        while self._coming and self._coming[0][0] < stamp_ns:
+        while self._future_voltages and self._future_voltages[0][0] < stamp_ns:
             self._hold_next()
         if is_lost:
             self._held_v = self._blank
-        begins = bool(self._coming) and self._coming[0][0] == stamp_ns
-        return self._held_v, self._coming[0][1] if begins else self._blank
+        begins = bool(self._future_voltages) and self._future_voltages[0][0] == stamp_ns
+        return self._held_v, self._future_voltages[0][1] if begins else self._blank

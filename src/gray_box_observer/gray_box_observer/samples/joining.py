@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.samples.counts import PairingCounts, Refused
+from gray_box_observer.samples.counts import PairingCounts, RefusalCounts
 from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.sample import (
@@ -87,7 +87,7 @@ class Joining(Protocol):
             gap_ns: a motor that was absent for longer starts its history anew.
         """
 
-    def refusal_counts(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> RefusalCounts:
         """What was refused of one motor."""
 
     def missed_counts(self, motor: int) -> dict[str, int]:
@@ -109,7 +109,7 @@ class OneMotor:
 
     blank = math.nan
 
-    def __init__(self, refusal_counts: Refused) -> None:
+    def __init__(self, refusal_counts: RefusalCounts) -> None:
         self._refusal_counts = refusal_counts
 
     def restart(self) -> None:
@@ -171,7 +171,7 @@ class OneMotor:
             return None
         return Sample.of_one_motor(stamp_ns, 0.0, voltage_v, torque_nm, speed_rad_s)
 
-    def refusal_counts(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> RefusalCounts:
         """See :class:`Joining`."""
         return {signal: counter.copy() for signal, counter in self._refusal_counts.items()}
 
@@ -187,7 +187,7 @@ class OneMotor:
         """See :class:`Joining`."""
         for signal, counter in self._refusal_counts.items():
             counter.clear()
-            counter.update(counts[0].refused[signal])
+            counter.update(counts[0].refusal_counts[signal])
 
 
 class ManyMotors:
@@ -292,8 +292,8 @@ class ManyMotors:
         )
 
     def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
-        owing = (self._owed_vns + mean_v * passed_ns) / span_ns
-        return np.where(self._owed_ns == 0, mean_v, owing)
+        combined_mean = (self._owed_vns + mean_v * passed_ns) / span_ns
+        return np.where(self._owed_ns == 0, mean_v, combined_mean)
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array],
@@ -333,9 +333,9 @@ class ManyMotors:
         voltage_v, speed = np.where(here, mean_v, 0.0), np.where(here, speed, np.nan)
         return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here)
 
-    def refusal_counts(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> RefusalCounts:
         """See :class:`Joining`."""
-        refusal_counts: Refused = {'speed': Counter()}
+        refusal_counts: RefusalCounts = {'speed': Counter()}
         for signal, counts in self._own.items():
             refusal_counts[signal] = Counter(
                 {reason: int(count[motor]) for reason, count in counts.items() if count[motor]}
@@ -354,7 +354,7 @@ class ManyMotors:
         """See :class:`Joining`."""
         for signal, by_reason in self._own.items():
             for reason in by_reason:
-                by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
+                by_reason[reason] = np.array([of.refusal_counts[signal][reason] for of in counts])
         received_counts = np.array([(of.received_voltage, of.received_torque) for of in counts])
         self._missed_counts = dict(
             zip(
@@ -363,5 +363,5 @@ class ManyMotors:
                 strict=True,
             )
         )
-        used_counts = np.array([of.used for of in counts])
+        used_counts = np.array([of.used_count for of in counts])
         self._lost_counts = used_counts.max() - used_counts

@@ -61,11 +61,11 @@ def quantisation_step(readings: Array) -> Array:
         Shape (motor,): the step, in the unit of the readings; 0 where there is none to be seen.
     """
     sorted_readings = np.sort(readings, axis=1)
-    repeated = np.sum(np.diff(sorted_readings, axis=1) == 0.0, axis=1) >= max(
+    has_repeats = np.sum(np.diff(sorted_readings, axis=1) == 0.0, axis=1) >= max(
         2.0, REPEATED * readings.shape[1]
     )
     step = np.zeros(readings.shape[0])
-    for motor in np.flatnonzero(repeated):
+    for motor in np.flatnonzero(has_repeats):
         row = readings[motor]
         step[motor] = _step(row[np.isfinite(row)])
     return step
@@ -80,8 +80,8 @@ def _step(readings: Array) -> float:
         return 0.0
     if distances.size < FEWEST_DISTANCES:
         changes = np.count_nonzero(readings[1:] != readings[:-1])
-        returning = distances.size > 1 and changes >= RETURNS * levels.size
-        if not returning and changes < RESTLESS * readings.size:
+        has_returns = distances.size > 1 and changes >= RETURNS * levels.size
+        if not has_returns and changes < RESTLESS * readings.size:
             return 0.0
     candidates = [
         _refined(distances, float(np.quantile(distances, q, method='lower'))) for q in _QUANTILES

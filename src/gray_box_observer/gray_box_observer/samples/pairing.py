@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.samples.counts import PairingCounts, Refused
+from gray_box_observer.samples.counts import PairingCounts, RefusalCounts
 from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
 from gray_box_observer.samples.own_speed import OwnSpeed
@@ -78,10 +78,10 @@ class Pairing:
 
     Attributes:
         history: what came in and was taken, to be paired anew.
-        held: samples completed by patience running out, their voltage held on; many of them mean
-            late voltages.
-        refused: what could not be used of a single motor, by signal and reason; of one of a group
-            see :meth:`counts_for`.
+        held_count: samples completed by patience running out, their voltage held on; many of them
+            mean late voltages.
+        refusal_counts: what could not be used of a single motor, by signal and reason; of one of a
+            group see :meth:`counts_for`.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; None until the first sample
             has settled it.
@@ -99,14 +99,18 @@ class Pairing:
         self.needs_speed: bool | None = True if self._always_needs_speed else None
         self._delay_ns = 0
         self.reconfigure(rules or PairingSettings())
-        self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
-        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(motors)
+        self.refusal_counts: RefusalCounts = {
+            signal: Counter() for signal in ('voltage', 'torque', 'speed')
+        }
+        self._joining: Joining = (
+            OneMotor(self.refusal_counts) if motors == 1 else ManyMotors(motors)
+        )
         self.received_torque = 0
         self.received_voltage = 0
         self.taken_voltage = 0
-        self.used = 0
+        self.used_count = 0
         self.restarts = 0
-        self.held = 0
+        self.held_count = 0
         self.history = RawHistory(motors)
         self._speeds = OwnSpeed()
         self._learn_habits()
@@ -151,10 +155,10 @@ class Pairing:
     @property
     def rejected(self) -> Counter[Rejection]:
         """What could not be used of a single motor, by reason, whatever signal it was of."""
-        return sum(self.refused.values(), Counter())
+        return sum(self.refusal_counts.values(), Counter())
 
     @property
-    def waiting(self) -> int:
+    def waiting_count(self) -> int:
         """Number of torque samples that wait for their voltage."""
         return len(self._torques)
 
@@ -189,7 +193,7 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts, waiting_before = self.counts_for(0), self.waiting
+        counts, waiting_before = self.counts_for(0), self.waiting_count
         self._set_delay(delay_s)
         self._learn_habits()
         self._restart()
@@ -198,7 +202,7 @@ class Pairing:
         for signal, stamp_ns, values in events:
             samples += self.ingest_signal[signal](stamp_ns, *values)
         self.count_as([counts])
-        self.used += waiting_before - self.waiting
+        self.used_count += waiting_before - self.waiting_count
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
         return certain, samples[len(certain) :]
@@ -220,10 +224,10 @@ class Pairing:
         )
         index = motors[0] if len(motors) == 1 else list(motors)
         for signal, stamp_ns, values in self.history.events(self._delay_ns):
-            picked: list[Any] = [
+            own_values: list[Any] = [
                 np.asarray(value)[index] if np.ndim(value) else value for value in values
             ]
-            pairing.ingest_signal[signal](stamp_ns, *picked)
+            pairing.ingest_signal[signal](stamp_ns, *own_values)
         pairing.count_as([self.counts_for(motor) for motor in motors])
         return pairing
 
@@ -232,10 +236,10 @@ class Pairing:
         self.received_torque = max(of.received_torque for of in counts)
         self.received_voltage = max(of.received_voltage for of in counts)
         self.taken_voltage = max(of.taken_voltage for of in counts)
-        self.used, self.restarts, self.held = (
-            max(of.used for of in counts),
+        self.used_count, self.restarts, self.held_count = (
+            max(of.used_count for of in counts),
             counts[0].restarts,
-            counts[0].held,
+            counts[0].held_count,
         )
         self._joining.count_as(counts)
 
@@ -303,7 +307,7 @@ class Pairing:
         samples += self._complete(self._known_ns())
         if self._torques:
             held_samples = self._complete(stamp_ns - self._hold_ns)
-            self.held += len(held_samples)
+            self.held_count += len(held_samples)
             samples += held_samples
         return samples
 
@@ -363,17 +367,17 @@ class Pairing:
             self._joining.refusal_counts(motor),
         )
         return PairingCounts(
-            refused=refusal_counts,
+            refusal_counts=refusal_counts,
             received_torque=self.received_torque - missed_counts['torque'],
             received_voltage=received_voltage,
             taken_voltage=received_voltage - refusal_counts['voltage'].total(),
-            used=self.used - lost_count,
-            waiting=sum(
+            used_count=self.used_count - lost_count,
+            waiting_count=sum(
                 not math.isnan(self._joining.one(torque_nm, motor))
                 for _, torque_nm, _ in self._torques
             ),
             restarts=self.restarts,
-            held=self.held,
+            held_count=self.held_count,
             delay_ns=self._delay_ns,
         )
 
@@ -402,7 +406,7 @@ class Pairing:
             sample = self._pair(*torques.popleft())
             if sample is not None:
                 samples.append(sample)
-                self.used += 1
+                self.used_count += 1
                 if self.needs_speed is None:  # before the next of those that waited together
                     self.needs_speed = self._uses_speed and bool(
                         np.isfinite(sample.speed_rad_s).any()

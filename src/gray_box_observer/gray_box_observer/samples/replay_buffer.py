@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
@@ -25,13 +25,14 @@ LONGEST_INTERVAL_S = 1e7
 """Between two samples of a signal history: more than any gap that may be set."""
 
 
-def check_signals(name: str, content: Any, motors: int = 1) -> None:
+def check_signals(name: str, content: Any, motors: int = 1, longest: int | None = None) -> None:
     """Refuse saved samples that no motor can have had; a speed may be unknown.
 
     Args:
         name: for the message.
         content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
         motors: how many there must be.
+        longest: how many samples there may be of each, one at least; None: any number.
 
     Raises:
         CheckpointError: another shape, or a number out of range.
@@ -44,6 +45,10 @@ def check_signals(name: str, content: Any, motors: int = 1) -> None:
     )
     for signal in (VOLTAGE, TORQUE):
         check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
+    if longest is not None and not 1 <= content.shape[2] <= longest:
+        raise CheckpointError(
+            f'{name} holds {content.shape[2]} samples a motor, expected 1 to {longest}'
+        )
 
 
 class ReplayBuffer:
@@ -80,7 +85,7 @@ class ReplayBuffer:
         self._data = self._rows.transpose(1, 2, 0)
         self._present = np.ones((stage, motors), dtype=bool)
         self._top = 0  # row behind the newest sample of any motor, where what is staged begins
-        self._staged = 0
+        self._staged_count = 0
         self._gaps = False
         self._end = np.zeros(motors, dtype=int)  # column behind the newest sample
         self._gone_count = np.zeros(motors, dtype=int)  # samples that stood before column 0
@@ -93,22 +98,22 @@ class ReplayBuffer:
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
         """Remember one sample, dropping the oldest if full; ``speed_rad_s`` replaces its speed."""
-        row = self._rows[self._top + self._staged]
+        row = self._rows[self._top + self._staged_count]
         row[INTERVAL] = sample.interval_s
         row[VOLTAGE] = sample.voltage_v
         row[TORQUE] = sample.torque_nm
         if self._speed_measured:
             row[SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
         if sample.present is not None:
-            self._present[self._staged], self._gaps = sample.present, True
-        self._staged += 1
+            self._present[self._staged_count], self._gaps = sample.present, True
+        self._staged_count += 1
         self.total += 1
-        if self._staged == self._present.shape[0]:
+        if self._staged_count == self._present.shape[0]:
             self.settle()
 
     def settle(self) -> None:
         """Count what is staged to those motors that were there."""
-        count, self._staged = self._staged, 0
+        count, self._staged_count = self._staged_count, 0
         if count == 0:
             return
         if self._even and not self._gaps:
@@ -120,10 +125,13 @@ class ReplayBuffer:
 
     def _scatter(self, count: int) -> None:
         """Put what is staged behind what those motors have that were there."""
-        staged, present = self._rows[self._top : self._top + count].copy(), self._present[:count]
+        staged_rows, present = (
+            self._rows[self._top : self._top + count].copy(),
+            self._present[:count],
+        )
         columns = self._end + np.cumsum(present, axis=0) - 1
         row, motor = np.nonzero(present)
-        self._data[:, motor, columns[row, motor]] = staged[row, :, motor].T
+        self._data[:, motor, columns[row, motor]] = staged_rows[row, :, motor].T
         self._end += np.sum(present, axis=0)
         self._find_top()
         self._present[:count], self._gaps = True, False
@@ -187,8 +195,8 @@ class ReplayBuffer:
             until: place in each stream after which nothing counts; None: to the newest.
         """
         place = self.received[motors] if until is None else until
-        remembered: NDArray[np.int_] = np.minimum(place - self._begin[motors], self.capacity)
-        return remembered
+        remembered_count: NDArray[np.int_] = np.minimum(place - self._begin[motors], self.capacity)
+        return remembered_count
 
     def stored(self, motor: int) -> int:
         """Return how many samples of a motor can be read, told to be forgotten or not."""

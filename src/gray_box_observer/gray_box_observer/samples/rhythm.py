@@ -33,14 +33,14 @@ class Rhythm:
         usual_s: the usual interval in s; 0 before the first.
         silence_s: longer than this no signal of this habit waits, in s; endless before the habit is
             known.
-        missing: samples that never came, by the length of the intervals.
+        missing_count: samples that never came, by the length of the intervals.
         pauses: how often the signal history began anew, after a gap or a jump of the stamps.
     """
 
     def __init__(self) -> None:
         self.usual_s = 0.0
         self.silence_s = math.inf
-        self.missing = 0
+        self.missing_count = 0
         self.pauses = -1  # the first sample begins the first history
         self._sample_count = 0
         self._unbroken = 0
@@ -66,6 +66,6 @@ class Rhythm:
         usual_s = self.usual_s
         self._unbroken = 0 if interval_s > SILENCE * usual_s else self._unbroken + 1
         if interval_s > LATE * usual_s:
-            self.missing += round(interval_s / usual_s) - 1
+            self.missing_count += round(interval_s / usual_s) - 1
         self.usual_s = usual_s * (1.0 + STEP if interval_s > usual_s else 1.0 - STEP)
         self.silence_s = SILENCE * self.usual_s

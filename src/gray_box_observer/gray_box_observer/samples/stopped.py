@@ -74,14 +74,16 @@ class StoppedPairing:
     def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         counts = self._counts[motor]
-        refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}
+        refusal_counts = {
+            signal: counter.copy() for signal, counter in counts.refusal_counts.items()
+        }
         came = {signal: int(count[motor]) for signal, count in self._came.items()}
         for signal, count in came.items():
             if count:
                 refusal_counts[signal][Rejection.STOPPED] += count
         return replace(
             counts,
-            refused=refusal_counts,
+            refusal_counts=refusal_counts,
             received_voltage=counts.received_voltage + came['voltage'],
             received_torque=counts.received_torque + came['torque'],
         )
@@ -99,12 +101,12 @@ class StoppedPairing:
 
 def _close_counts(counts: PairingCounts) -> PairingCounts:
     """Return the counts with what is not accounted for, and what waits, as refused."""
-    refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}
-    open_torques = counts.received_torque - counts.used - refusal_counts['torque'].total()
+    refusal_counts = {signal: counter.copy() for signal, counter in counts.refusal_counts.items()}
+    open_torques = counts.received_torque - counts.used_count - refusal_counts['torque'].total()
     open_voltages = (
         counts.received_voltage - counts.taken_voltage - refusal_counts['voltage'].total()
     )
     for signal, count in (('torque', open_torques), ('voltage', open_voltages)):
         if count > 0:
             refusal_counts[signal][Rejection.STOPPED] += count
-    return replace(counts, refused=refusal_counts, waiting=0)
+    return replace(counts, refusal_counts=refusal_counts, waiting_count=0)

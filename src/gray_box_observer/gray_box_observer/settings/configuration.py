@@ -64,13 +64,13 @@ class MotorConfiguration:
     Attributes:
         name: its name.
         values: by the names of MOTOR_PARAMETERS.
-        stated: names of those that the user has stated; the others have their defaults, which say
-            nothing of it.
+        stated_names: names of those that the user has stated; the others have their defaults, which
+            say nothing of it.
     """
 
     name: str
     values: Mapping[str, Any]
-    stated: frozenset[str] = frozenset()
+    stated_names: frozenset[str] = frozenset()
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
@@ -87,8 +87,8 @@ class MotorConfiguration:
             }
         if self.has_rotor and not self.states_back_emf:
             constants[BACK_EMF] = self.values['torque_constant']
-        measured = speed_measured and not self.has_rotor
-        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, measured)
+        has_speed_signal = speed_measured and not self.has_rotor
+        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, has_speed_signal)
 
     @property
     def joint(self) -> str:
@@ -126,7 +126,7 @@ class MotorConfiguration:
     @property
     def states_back_emf(self) -> bool:
         """Whether Kb is stated; else a rotor takes it for Kt, which it nearly is in SI units."""
-        return BACK_EMF in self.stated
+        return BACK_EMF in self.stated_names
 
     @property
     def needs_speed(self) -> bool:
@@ -165,7 +165,7 @@ class MotorConfiguration:
         differs = self.values[spec.name] != spec.default
         return (
             differs
-            or spec.name in self.stated
+            or spec.name in self.stated_names
             or spec.name in ('torque_constant', 'back_emf_constant')
         )
 
@@ -284,11 +284,11 @@ class Configuration:
                 f'not {DEFAULTS}), got '
                 f'{brief(names)}'
             )
-        reserved = [name for name in names if name in RESERVED]
-        if reserved:
+        reserved_names = [name for name in names if name in RESERVED]
+        if reserved_names:
             raise ConfigurationError(
-                f'motors: {reserved[0]} is the name of parameters of the observer itself; give '
-                'the motor another one'
+                f'motors: {reserved_names[0]} is the name of parameters of the observer itself; '
+                'give the motor another one'
             )
         if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
             raise ConfigurationError(
@@ -314,12 +314,12 @@ class Configuration:
             _check_signal(name, values)
         values |= stated_inputs(values, unread_values, {*names, *RESERVED, DEFAULTS})
         feeds_of(values)
-        shared = _stated_names(DEFAULTS, unread_values)
+        shared_names = _stated_names(DEFAULTS, unread_values)
         common = {
             spec.name: unread_values.pop(f'{DEFAULTS}.{spec.name}', spec.default)
             for spec in MOTOR_PARAMETERS
         }
-        motors = _motors(names, unread_values, common, shared)
+        motors = _motors(names, unread_values, common, shared_names)
         _check_joints(motors)
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(unread_values)))
@@ -336,7 +336,9 @@ class Configuration:
         changes = {name: value for name, value in new_values.items() if name in flat}
         configuration = self.from_flat(flat | changes)
         motors = {
-            name: replace(motor, stated=self.motors[name].stated | _stated_names(name, changes))
+            name: replace(
+                motor, stated_names=self.motors[name].stated_names | _stated_names(name, changes)
+            )
             for name, motor in configuration.motors.items()
         }
         return replace(configuration, motors=motors, unknown=self.unknown)
@@ -353,9 +355,10 @@ class Configuration:
         if group in self.motors or group == DEFAULTS:
             groups = [group]
         else:
-            groups = [DEFAULTS, *(motor for motor, of in self.motors.items() if not of.stated)][
-                :MOST_ALIKE
-            ]
+            groups = [
+                DEFAULTS,
+                *(motor for motor, of in self.motors.items() if not of.stated_names),
+            ][:MOST_ALIKE]
         return candidates + [
             f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS
         ]
@@ -438,9 +441,13 @@ def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     """
     flat: dict[str, Any] = {}
     for name, value in tree.items():
-        dotted = f'{prefix}{name}'
-        values = flatten(value, f'{dotted}.') if isinstance(value, Mapping) else {dotted: value}
-        twice = next((repeated for repeated in values if repeated in flat), None)
+        dotted_name = f'{prefix}{name}'
+        values = (
+            flatten(value, f'{dotted_name}.')
+            if isinstance(value, Mapping)
+            else {dotted_name: value}
+        )
+        twice = next((dotted_key for dotted_key in values if dotted_key in flat), None)
         if twice is not None:
             raise ConfigurationError(f'parameter {brief(twice)} stands twice')
         flat.update(values)
@@ -471,11 +478,11 @@ def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
             f'motor {rotor_motors[0]}: speed_source rotor needs context_update recursive, '
             f'got {rule}'
         )
-    turning = [name for name, motor in motors.items() if motor.mechanical_nodes]
-    if rule != 'recursive' and turning:
+    inertia_motors = [name for name, motor in motors.items() if motor.mechanical_nodes]
+    if rule != 'recursive' and inertia_motors:
         raise ConfigurationError(
-            f'motor {turning[0]}: inertia among context_nodes needs context_update recursive, '
-            f'got {rule}'
+            f'motor {inertia_motors[0]}: inertia among context_nodes needs context_update '
+            f'recursive, got {rule}'
         )
     if rule != 'recursive' and informed_motors:
         raise ConfigurationError(
@@ -514,7 +521,7 @@ def _motors(
     names: Sequence[str],
     unread_values: dict[str, Any],
     common: Mapping[str, Any],
-    shared: frozenset[str],
+    shared_names: frozenset[str],
 ) -> dict[str, MotorConfiguration]:
     """Configure every motor; those without a group of their own are alike, checked once."""
     motors_with_group = {name.partition('.')[0] for name in unread_values}
@@ -523,22 +530,25 @@ def _motors(
     lists: list[str] = []
     for name in names:
         if name in motors_with_group:
-            motors[name] = _motor(name, unread_values, common, shared)
+            motors[name] = _motor(name, unread_values, common, shared_names)
             continue
         if not alike:
-            alike = dict(_motor(name, unread_values, common, shared).values)
+            alike = dict(_motor(name, unread_values, common, shared_names).values)
             lists = [key for key, value in alike.items() if isinstance(value, list)]
         motors[name] = MotorConfiguration(
-            name, alike | {key: list(alike[key]) for key in lists}, shared
+            name, alike | {key: list(alike[key]) for key in lists}, shared_names
         )
     return motors
 
 
 def _motor(
-    name: str, unread_values: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+    name: str,
+    unread_values: dict[str, Any],
+    common: Mapping[str, Any],
+    shared_names: frozenset[str],
 ) -> MotorConfiguration:
     """Take one motor's group out of the values; what it lacks is that of all motors."""
-    stated_names = shared | _stated_names(name, unread_values)
+    stated_names = shared_names | _stated_names(name, unread_values)
     values = {
         spec.name: spec.check(
             unread_values.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.'

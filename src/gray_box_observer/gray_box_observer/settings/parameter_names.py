@@ -30,11 +30,11 @@ def slip_of(name: str, valid_names: Iterable[str]) -> str:
     best_name, alike = '', ALIKE
     for candidate in valid_names:
         candidate_parts = candidate.split('.')
-        differing = [
+        differing_parts = [
             pair for pair in zip(parts, candidate_parts, strict=False) if pair[0] != pair[1]
         ]
-        if len(parts) == len(candidate_parts) and len(differing) == 1:
-            ratio = SequenceMatcher(None, *differing[0]).ratio()
+        if len(parts) == len(candidate_parts) and len(differing_parts) == 1:
+            ratio = SequenceMatcher(None, *differing_parts[0]).ratio()
             if ratio >= alike and (not best_name or ratio > alike):
                 best_name, alike = candidate, ratio
     return best_name

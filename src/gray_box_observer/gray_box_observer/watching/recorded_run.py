@@ -249,7 +249,7 @@ class _Teller:
         view, counts = self._observer.motors[motor], self._observer.counts(motor)
         rejected = ', '.join(f'{reason.value}: {n}' for reason, n in counts.rejected.items() if n)
         facts = {
-            'samples used': str(counts.used),
+            'samples used': str(counts.used_count),
             'rejected': rejected or 'none',
             'fit verdict': view.fit.verdict.value,
             'fit ratio': words_of(view.fit.ratio, '.4g', 'unknown'),
@@ -259,10 +259,10 @@ class _Teller:
             facts['speed [rad/s]'] = words_of(view.speed.speed_rad_s, '.4g', 'unknown')
         passed_s = now_s - self._told_s.get(motor, now_s)
         if passed_s > 0.0:
-            new_count = counts.used - self._told_used.get(motor, 0)
+            new_count = counts.used_count - self._told_used.get(motor, 0)
             facts['sample rate [1/s]'] = f'{new_count / passed_s:.1f}'
         if passed_s != 0.0 or motor not in self._told_s:
-            self._told_s[motor], self._told_used[motor] = now_s, counts.used
+            self._told_s[motor], self._told_used[motor] = now_s, counts.used_count
         return facts
 
     def _judge(self, motor: str) -> tuple[str, str]:

@@ -15,12 +15,12 @@ class Form:
         value: the formula; of a drive it is a function of the voltage and the signals, as its
             derivatives are.
         partial: derivatives by every signal.
-        following: derivative by the current where the speed follows it.
+        total_slope: derivative by the current where the speed follows it.
     """
 
     value: Callable[..., Any]
     partial: tuple[Callable[..., Any], ...]
-    following: Callable[..., Any]
+    total_slope: Callable[..., Any]
 
 
 def sign(x: Any) -> Any:
@@ -48,11 +48,11 @@ class Balance:
     Attributes:
         storage: place of the coefficient of the derivative among the parameters.
         places: places of the coefficients of the unknown effects.
-        unknown: these effects, for coefficients of one.
+        unknown_effects: these effects, for coefficients of one.
         unknown_slopes: their derivatives by every state; total where the speed follows the current.
-        known: the known effects.
+        known_effects: the known effects.
         known_slopes: their derivatives likewise.
-        driven: the drive; ``None``: the voltage.
+        drive_form: the drive; ``None``: the voltage.
         torque_constant: Kt in N m/A, lined up with the signals.
         speed_measured: whether the speed is a signal of its own.
         following_speed: the speed that follows the current; ``None``: it is measured or a state.
@@ -60,11 +60,11 @@ class Balance:
 
     storage: int
     places: tuple[int, ...]
-    unknown: Functions
+    unknown_effects: Functions
     unknown_slopes: tuple[Functions, ...]
-    known: Effects
+    known_effects: Effects
     known_slopes: tuple[Effects, ...]
-    driven: Form | None
+    drive_form: Form | None
     torque_constant: Any
     speed_measured: bool
     following_speed: Callable[..., Any] | None
@@ -78,8 +78,8 @@ class Balance:
 
     def drive(self, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
         """Drive less every known effect."""
-        rest = voltage_v if self.driven is None else self.driven.value(voltage_v, *signals)
-        for constant, effect in self.known:
+        rest = voltage_v if self.drive_form is None else self.drive_form.value(voltage_v, *signals)
+        for constant, effect in self.known_effects:
             rest = rest - constant * effect(*signals)
         return rest
 
@@ -87,8 +87,8 @@ class Balance:
         """Derivative of :meth:`drive` by a state."""
         rest = (
             0.0 * signals[state]
-            if self.driven is None
-            else self.driven.partial[state](voltage_v, *signals)
+            if self.drive_form is None
+            else self.drive_form.partial[state](voltage_v, *signals)
         )
         for constant, slope in self.known_slopes[state]:
             rest = rest - constant * slope(*signals)
@@ -96,7 +96,7 @@ class Balance:
 
     def basis(self, signals: tuple[Any, ...]) -> list[Any]:
         """Every unknown effect for a coefficient of one."""
-        return [effect(*signals) for effect in self.unknown]
+        return [effect(*signals) for effect in self.unknown_effects]
 
     def basis_slope(self, state: int, signals: tuple[Any, ...]) -> list[Any]:
         """Derivatives of :meth:`basis` by a state; plain numbers where they are constant."""

@@ -37,9 +37,9 @@ STIFF = MAX_STEPS + 1
 
 def to_coordinates(theta: Array) -> Array:
     """Turn parameters, shape (motor, parameter), into the coordinates of the rate."""
-    leading, coordinates = theta[:, :1], np.empty_like(theta)
-    np.divide(1.0, leading, out=coordinates[:, :1])
-    np.divide(theta[:, 1:], leading, out=coordinates[:, 1:])
+    storage, coordinates = theta[:, :1], np.empty_like(theta)
+    np.divide(1.0, storage, out=coordinates[:, :1])
+    np.divide(theta[:, 1:], storage, out=coordinates[:, 1:])
     return coordinates
 
 
@@ -62,12 +62,12 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
         theta: shape (motor, parameter).
         relative: shape (motor, coordinate, coordinate).
     """
-    moved = np.empty_like(relative)
-    np.negative(relative[:, :1], out=moved[:, :1])
-    np.subtract(relative[:, 1:], relative[:, :1], out=moved[:, 1:])
-    moved[:, :, 1:] -= moved[:, :, :1]
-    np.negative(moved[:, :, :1], out=moved[:, :, :1])
-    return moved * theta[:, :, None] * theta[:, None, :]
+    log_covariance = np.empty_like(relative)
+    np.negative(relative[:, :1], out=log_covariance[:, :1])
+    np.subtract(relative[:, 1:], relative[:, :1], out=log_covariance[:, 1:])
+    log_covariance[:, :, 1:] -= log_covariance[:, :, :1]
+    np.negative(log_covariance[:, :, :1], out=log_covariance[:, :, :1])
+    return log_covariance * theta[:, :, None] * theta[:, None, :]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +190,8 @@ def flow(
             [state[selection] for state in start],
             here.mapped(lambda entry, selection=selection: entry[..., selection, :]),
         )
-        moved = _in_steps(ops, rate_of, begin, rate, own, int(count))
-        for entry, part in zip(whole.entries, moved.entries, strict=True):
+        group_motion = _in_steps(ops, rate_of, begin, rate, own, int(count))
+        for entry, part in zip(whole.entries, group_motion.entries, strict=True):
             entry[..., selection, :] = part
     return whole
 
@@ -210,12 +210,12 @@ def _stiffness(ops: Any, here: Linear, interval_s: Array) -> Any:
     """Largest product of interval and decay rate (or its bound for several states), (motor,)."""
     rates = []
     for state, slopes in enumerate(here.by_state):
-        coupled = (
+        coupling_rates = (
             abs(slope * here.by_state[by][state]) ** 0.5
             for by, slope in enumerate(slopes)
             if by != state
         )
-        rates.append(reduce(add, coupled, abs(slopes[state])))
+        rates.append(reduce(add, coupling_rates, abs(slopes[state])))
     return ops.max(reduce(ops.maximum, rates) * interval_s, axis=1, initial=0.0)
 
 
@@ -267,8 +267,8 @@ def runge_kutta_step(
     second = next_rate(here, half, middle)
     third = next_rate(second, half, middle)
     fourth = next_rate(third, step_s, end_speed)
-    gained = here.mapped(lambda k1, k2, k3, k4: k1 + 2.0 * (k2 + k3) + k4, second, third, fourth)
-    return _ahead(start, gained, step_s / 6.0)
+    slope_sum = here.mapped(lambda k1, k2, k3, k4: k1 + 2.0 * (k2 + k3) + k4, second, third, fourth)
+    return _ahead(start, slope_sum, step_s / 6.0)
 
 
 def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> Linear:
@@ -331,25 +331,27 @@ def rate(
     value, by_state, by_coordinate = [], [], []
     for balance in white_box.balances(states[0]):
         signals = balance.signals(states, speed_rad_s)
-        leading, others = (
+        inverse_storage, others = (
             coefficients[balance.storage],
             [coefficients[place] for place in balance.places],
         )
         drive, basis = balance.drive(voltage_v, signals), balance.basis(signals)
-        value.append(deducted(leading * drive, others, basis))
+        value.append(deducted(inverse_storage * drive, others, basis))
         slopes = [
             deducted(
-                leading * balance.drive_slope(s, voltage_v, signals),
+                inverse_storage * balance.drive_slope(s, voltage_v, signals),
                 others,
                 balance.basis_slope(s, signals),
             )
             for s in range(len(states))
         ]
         by_state.append(slopes)
-        forced = {balance.storage: drive}
+        slope_by_place = {balance.storage: drive}
         for place, phi in zip(balance.places, basis, strict=True):
-            forced[place] = -phi
+            slope_by_place[place] = -phi
         by_coordinate.append(
-            ops.stack([forced[p] if p in forced else 0.0 * drive for p in coefficients])
+            ops.stack(
+                [slope_by_place[p] if p in slope_by_place else 0.0 * drive for p in coefficients]
+            )
         )
     return Linear(value, by_state, by_coordinate)

@@ -116,8 +116,8 @@ class MotorWhiteBox:
 
     def of_motors(self, index: Any) -> MotorWhiteBox:
         """Return the white box of chosen motors, one per entry of ``index``, repeats allowed."""
-        known = {name: _take(value, index) for name, value in self.known.items()}
-        return replace(self, torque_constant=_take(self.torque_constant, index), known=known)
+        known_values = {name: _take(value, index) for name, value in self.known.items()}
+        return replace(self, torque_constant=_take(self.torque_constant, index), known=known_values)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -164,12 +164,12 @@ class MotorWhiteBox:
     def balances(self, signal: Any) -> tuple[Balance, ...]:
         """Return every state's balance, with constants shaped for such a signal."""
         axes = getattr(signal, 'ndim', 0)
-        found = self._lined_up.get(axes)
-        if found is None:
-            found = self._lined_up[axes] = tuple(
+        balances = self._lined_up.get(axes)
+        if balances is None:
+            balances = self._lined_up[axes] = tuple(
                 self._balance(state, signal) for state in self.states
             )
-        return found
+        return balances
 
     def _balance(self, state: State, signal: Any) -> Balance:
         places = tuple(
@@ -177,24 +177,26 @@ class MotorWhiteBox:
         )
         names = [name for name in self.given if _acts_on(state, name)]
         constants = [_spread(self.known[name], signal) for name in names]
-        unknown = [forms.EFFECTS[self.context_nodes[place]] for place in places]
-        known = [forms.EFFECTS[name] for name in names]
+        unknown_forms = [forms.EFFECTS[self.context_nodes[place]] for place in places]
+        known_forms = [forms.EFFECTS[name] for name in names]
         follows = not self.speed_measured and len(self.states) < len(SIGNALS)
 
         def slope(form: Form, by: State) -> Callable[..., Any]:
-            return form.following if follows else form.partial[by]
+            return form.total_slope if follows else form.partial[by]
 
         return Balance(
             storage=self.context_nodes.index(STORAGES[state]),
             places=places,
-            unknown=tuple(form.value for form in unknown),
-            unknown_slopes=tuple(tuple(slope(form, by) for form in unknown) for by in self.states),
-            known=tuple(zip(constants, (form.value for form in known), strict=True)),
+            unknown_effects=tuple(form.value for form in unknown_forms),
+            unknown_slopes=tuple(
+                tuple(slope(form, by) for form in unknown_forms) for by in self.states
+            ),
+            known_effects=tuple(zip(constants, (form.value for form in known_forms), strict=True)),
             known_slopes=tuple(
-                tuple(zip(constants, (slope(form, by) for form in known), strict=True))
+                tuple(zip(constants, (slope(form, by) for form in known_forms), strict=True))
                 for by in self.states
             ),
-            driven=forms.DRIVES[state],
+            drive_form=forms.DRIVES[state],
             torque_constant=_spread(self.torque_constant, signal),
             speed_measured=self.speed_measured,
             following_speed=forms.following_speed if follows else None,

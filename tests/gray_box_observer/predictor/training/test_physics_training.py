@@ -101,7 +101,9 @@ def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None
     exact = replace(
         taught, targets=taught.intervals.distance * np.expm1(-taught.intervals.duration)
     )
-    linear = replace(exact.intervals, settling=0.0 * taught.targets, halfway=0.0 * taught.targets)
+    linear = replace(
+        exact.intervals, log_end_rate=0.0 * taught.targets, halfway=0.0 * taught.targets
+    )
     readout = torch.zeros(taught.targets.shape)
     assert float(defect_loss(replace(exact, intervals=linear), readout)) < 1e-5
     assert float(defect_loss(taught, readout)) > 1e-4

@@ -126,7 +126,7 @@ def test_training_rests_until_its_share_of_a_core_is_kept(
 ) -> None:
     process = ProcessTraining(configuration(thesis_box, replace(SMALL, core_share=1e-4)))
     try:
-        assert not process.resting
+        assert not process.is_resting
         process.submit(job_of(samples))
         deadline = time.monotonic() + PATIENCE_S
         while (result := process.collect()) is None:
@@ -134,7 +134,7 @@ def test_training_rests_until_its_share_of_a_core_is_kept(
             assert time.monotonic() < deadline
             time.sleep(0.01)
         assert 'cpu_s' not in result
-        assert process.resting  # ten steps take longer than 1e-4 of what has passed
-        assert not InlineTraining(configuration(thesis_box, SMALL)).resting
+        assert process.is_resting  # ten steps take longer than 1e-4 of what has passed
+        assert not InlineTraining(configuration(thesis_box, SMALL)).is_resting
     finally:
         process.close()

@@ -86,12 +86,12 @@ def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:
     compression = stream.read(name_length).decode('ascii', 'replace')
     packed_length = piece.length - _CHUNK_HEAD_BYTES - name_length - 8
     check_size(max(size, packed_length), packed_length, limits)
-    packed = stream.read(8 + packed_length)[8:]
+    packed_records = stream.read(8 + packed_length)[8:]
     if piece.is_cut:
-        return packed[
+        return packed_records[
             :-END_BYTES
         ]  # a write over an older end may have been cut just before that was all replaced
-    records = _decompress(packed, compression, size)
+    records = _decompress(packed_records, compression, size)
     if len(records) != size:
         raise Unreadable(f'{len(records)} bytes instead of {size}')
     if checksum and zlib.crc32(records) != checksum:
@@ -122,19 +122,21 @@ def _mb(byte_count: int) -> str:
     return f'{byte_count / 1e6:.3g} MB' if byte_count < 10**9 else f'{byte_count // 10**6} MB'
 
 
-def _decompress(packed: bytes, compression: str, size: int) -> bytes:
+def _decompress(packed_records: bytes, compression: str, size: int) -> bytes:
     """Decompress to no more than what the head claims, which is checked before."""
     if not compression:
-        return packed
+        return packed_records
     try:
         if compression == 'zstd':
-            content_size = zstandard.frame_content_size(packed)  # -1: its own head does not tell
+            content_size = zstandard.frame_content_size(
+                packed_records
+            )  # -1: its own head does not tell
             if content_size not in (-1, size):
                 raise Unreadable(f'{content_size} bytes instead of {size}')
-            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+            return zstandard.ZstdDecompressor().decompress(packed_records, max_output_size=size)
         if compression == 'lz4':
             unpacker = lz4.frame.LZ4FrameDecompressor()
-            parts = [unpacker.decompress(packed, max_length=_STEP_BYTES)]
+            parts = [unpacker.decompress(packed_records, max_length=_STEP_BYTES)]
             total = len(parts[0])
             while parts[-1] and not unpacker.eof and total <= size:
                 parts.append(unpacker.decompress(b'', max_length=_STEP_BYTES))
@@ -179,8 +181,8 @@ def survey_messages(records: bytes, channel_numbers: Container[int]) -> Survey:
     last_head = end - MESSAGE_HEAD.size
     while at <= last_head:
         opcode, length, number, _, log_ns, _ = unpack(records, at)
-        following = at + 9 + length
-        if following > end or (opcode == MESSAGE and length < 22):
+        next_at = at + 9 + length
+        if next_at > end or (opcode == MESSAGE and length < 22):
             break
         if opcode == MESSAGE and number in channel_numbers:
             counts[number] = counts.get(number, 0) + 1
@@ -191,7 +193,7 @@ def survey_messages(records: bytes, channel_numbers: Container[int]) -> Survey:
             survey.orphan_count += 1
         elif opcode not in _DECLARATIONS and opcode < FIRST_PRIVATE:
             break
-        at = following
+        at = next_at
     survey.rest = end - at if at <= last_head else _tail(records, at)
     survey.counts = Counter(counts)
     survey.start_ns = start_ns if counts else 0
@@ -218,8 +220,8 @@ def parse_messages(
     last_head = end - MESSAGE_HEAD.size
     while at <= last_head:
         opcode, length, number, _, log_ns, publish_ns = unpack(records, at)
-        following = at + 9 + length
-        if following > end:
+        next_at = at + 9 + length
+        if next_at > end:
             return messages, end - at, orphans
         if opcode == MESSAGE:
             if length < 22:
@@ -231,7 +233,7 @@ def parse_messages(
                         channel.topic,
                         channel.type_name,
                         channel.schema_text,
-                        records[at + 31 : following],
+                        records[at + 31 : next_at],
                         log_ns,
                         publish_ns,
                     )
@@ -240,17 +242,17 @@ def parse_messages(
                 orphans += 1
         elif opcode not in _DECLARATIONS and opcode < FIRST_PRIVATE:
             return messages, end - at, orphans
-        at = following
+        at = next_at
     return messages, _tail(records, at), orphans
 
 
 def _tail(records: bytes, at: int) -> int:
     """Bytes that are no whole record, among records too short to be a message."""
     while at + HEAD.size <= len(records):
-        following = at + HEAD.size + HEAD.unpack_from(records, at)[1]
-        if following > len(records):
+        next_at = at + HEAD.size + HEAD.unpack_from(records, at)[1]
+        if next_at > len(records):
             break
-        at = following
+        at = next_at
     return len(records) - at
 
 
@@ -259,9 +261,9 @@ def parse_definitions(records: bytes, definitions: Definitions) -> None:
     at = 0
     while at + HEAD.size <= len(records):
         opcode, length = HEAD.unpack_from(records, at)
-        following = at + HEAD.size + length
-        if following > len(records):
+        next_at = at + HEAD.size + length
+        if next_at > len(records):
             return
         if opcode != MESSAGE:
-            definitions.add(opcode, records[at + HEAD.size : following])
-        at = following
+            definitions.add(opcode, records[at + HEAD.size : next_at])
+        at = next_at

@@ -146,12 +146,12 @@ class McapFile:
     def _end_chunk(self) -> bytes:
         """The records of the chunk in memory and of its index, and a new chunk in its place."""
         records = b''.join(self._chunk)
-        packed = self._pack(records)
+        packed_records = self._pack(records)
         times = [time for entries in self._chunk_index.values() for time, _ in entries]
         start_ns, end_ns, name = min(times), max(times), self._compression.encode()
-        sizes = (len(records), zlib.crc32(records), len(name), name, len(packed))
+        sizes = (len(records), zlib.crc32(records), len(name), name, len(packed_records))
         head = struct.pack(f'<QQQII{len(name)}sQ', start_ns, end_ns, *sizes)
-        chunk = HEAD.pack(Opcode.CHUNK, len(head) + len(packed)) + head + packed
+        chunk = HEAD.pack(Opcode.CHUNK, len(head) + len(packed_records)) + head + packed_records
         index_offsets, indexes = {}, bytearray()
         for channel, entries in self._chunk_index.items():
             index_offsets[channel] = self.size + len(chunk) + len(indexes)
@@ -162,7 +162,7 @@ class McapFile:
             chunk_length=len(chunk),
             chunk_start_offset=self.size,
             compression=self._compression,
-            compressed_size=len(packed),
+            compressed_size=len(packed_records),
             message_end_time=end_ns,
             message_index_length=len(indexes),
             message_index_offsets=index_offsets,

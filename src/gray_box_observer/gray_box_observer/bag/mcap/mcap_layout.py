@@ -125,7 +125,9 @@ class _Scanner:
         self._stream = stream
         self._layout = Layout(size, end=read_end(stream, size))
         self._stop = size if self._layout.end is None else self._layout.end.stop
-        self._indexed = sorted(offset for offset in self._indexed_chunks() if offset < self._stop)
+        self._chunk_offsets = sorted(
+            offset for offset in self._indexed_chunks() if offset < self._stop
+        )
         self._definitions = Definitions()
         self._run: Piece | None = None
         self._loose_count = 0
@@ -152,9 +154,9 @@ class _Scanner:
         layout = self._layout
         layout.channels |= end.channels
         chunk_times = {p.offset: (p.start_ns, p.end_ns) for p in layout.pieces if p.is_chunk}
-        indexed = {offset: _span(*times) for offset, times in end.chunks.items()}
+        index_times = {offset: _span(*times) for offset, times in end.chunks.items()}
         statistics = end.statistics
-        if not layout.damages and indexed and chunk_times != indexed:
+        if not layout.damages and index_times and chunk_times != index_times:
             self._damage(0, 0, 'the chunks of the file are not those of its index')
         elif (
             not layout.damages
@@ -188,8 +190,8 @@ class _Scanner:
         end: int = at + HEAD.size + length
         if opcode == 0 or LAST_KNOWN < opcode < FIRST_PRIVATE:
             return self._give_up(at, f'a record of unknown kind {opcode} at byte {at}')
-        following = self._next_chunk(at)
-        if following and end > following:
+        next_chunk = self._next_chunk(at)
+        if next_chunk and end > next_chunk:
             return self._give_up(at, f'a record with a wrong length at byte {at}')
         if end > self._stop:
             return self._cut(at, opcode, length)
@@ -199,9 +201,9 @@ class _Scanner:
         if opcode == CHUNK:
             if not self._chunk(at, length):
                 return self._give_up(
-                    at, f'a chunk with a damaged head at byte {at}', goal=following or end
+                    at, f'a chunk with a damaged head at byte {at}', goal=next_chunk or end
                 )
-        elif opcode == FOOTER or (opcode == DATA_END and self._indexed and end != self._stop):
+        elif opcode == FOOTER or (opcode == DATA_END and self._chunk_offsets and end != self._stop):
             return self._give_up(at, f'an end mark in the middle of the file at byte {at}')
         elif opcode in (SCHEMA, CHANNEL):
             too_long = length > LARGEST_DECLARATION_BYTES
@@ -282,8 +284,8 @@ class _Scanner:
 
     def _next_chunk(self, at: int) -> int:
         """Where the index at the end of the file says that the next chunk starts; 0 if nowhere."""
-        following = bisect_right(self._indexed, at)
-        return self._indexed[following] if following < len(self._indexed) else 0
+        place = bisect_right(self._chunk_offsets, at)
+        return self._chunk_offsets[place] if place < len(self._chunk_offsets) else 0
 
 
 def _span(start_ns: int, end_ns: int) -> tuple[int, int]:

@@ -110,9 +110,12 @@ class McapTail:
                 out += content
         offsets_start = start + len(out)
         out += offsets
-        covered = out + struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
+        checked_bytes = out + struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         return (
-            end + bytes(out) + bytes_of(Footer(start, offsets_start, zlib.crc32(covered))) + MAGIC
+            end
+            + bytes(out)
+            + bytes_of(Footer(start, offsets_start, zlib.crc32(checked_bytes)))
+            + MAGIC
         )
 
     def _groups(self, data_end: int) -> list[tuple[Opcode, bytes]]:

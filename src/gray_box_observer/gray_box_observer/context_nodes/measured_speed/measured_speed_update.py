@@ -37,6 +37,7 @@ from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimat
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
@@ -242,7 +243,7 @@ class MeasuredSpeedUpdate:
         parameters = self._white_box.parameters
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_frozen = self._outputs.is_frozen
-        verdicts = self.verdict_rules.judge(parameters, value, std, frozen=is_frozen, most=most)
+        verdicts = self.verdict_rules.judge(parameters, value, std, is_frozen=is_frozen, most=most)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
     @property
@@ -315,9 +316,12 @@ class MeasuredSpeedUpdate:
 
     def _has_fitted(self) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""
-        fitting = self._outputs.fitting
-        has_ended = self._outputs.advance()
-        if fitting is None or not has_ended:  # a voltage that is held tells nothing
+        fitting, missed = self._outputs.fitting, self._outputs.windows_without_fit
+        has_changed = self._outputs.advance()
+        is_missed = self._outputs.windows_without_fit > missed
+        if fitting is None or not (
+            has_changed or is_missed
+        ):  # a voltage that is held tells nothing
             return False
         place, samples = fitting
         fit = self._outputs.output_fit
@@ -446,7 +450,7 @@ class MeasuredSpeedUpdate:
         self._is_noisy = flag(own, 'noisy')
         if not self._is_noisy:
             return
-        check_signals(_SAMPLES, arrays.get(_SAMPLES))
+        check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)
         check_arrays(arrays, {_SHARES: ArrayRule(self._shares.shape, 0.0, endless=True)})
         self._shares = arrays[_SHARES]
         samples = arrays[_SAMPLES][:, 0]

@@ -151,7 +151,7 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
 
 
 def restart_variance(
-    decay: Array, restart: NDArray[np.bool_], unknown: float, negligible: float, settling: int
+    decay: Array, restart: NDArray[np.bool_], unknown: float, negligible: float, most_samples: int
 ) -> Array | None:
     """Work out what restarts leave of the state's variance; None without compiled code.
 
@@ -160,7 +160,7 @@ def restart_variance(
         restart: shape (motor, k).
         unknown: variance at a restart, in units of the noise's.
         negligible: variance that needs no remembering.
-        settling: samples for which it is remembered at most.
+        most_samples: samples for which it is remembered at most.
 
     Returns:
         Shape (motor, k + 1).
@@ -174,7 +174,7 @@ def restart_variance(
     restarts = np.ascontiguousarray(restart, dtype=np.uint8)
     handle.restart_variances(
         *(motors, k, decays.ctypes.data, restarts.ctypes.data),
-        *(unknown, negligible, settling, variance.ctypes.data),
+        *(unknown, negligible, most_samples, variance.ctypes.data),
     )
     return variance
 

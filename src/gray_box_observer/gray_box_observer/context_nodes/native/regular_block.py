@@ -137,13 +137,13 @@ class BatchResult(NamedTuple):
         motors: places of those whose block was looked at; None where they were too many, and
             nothing was done.
         status: what became of each block, as of :meth:`RegularBlocks.learn`.
-        changed: shape (motor,), of all motors: whether it has learnt.
+        has_learnt: shape (motor,), of all motors: whether it has learnt.
         wait: samples until somebody is due again; 0 where there is more to do now.
     """
 
     motors: NDArray[np.int64] | None
     status: NDArray[np.uint8]
-    changed: NDArray[np.bool_]
+    has_learnt: NDArray[np.bool_]
     wait: int
 
     @classmethod
@@ -163,7 +163,7 @@ class RegularBlocks:
 
     def __init__(self, white_box: WhiteBox, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
-        self._pointed: tuple[Any, ...] = ()
+        self._target_parts: tuple[Any, ...] = ()
         handle = library()
         if (
             handle is not None
@@ -185,17 +185,17 @@ class RegularBlocks:
         motors = replay.motors
         lower, upper = bounds(white_box.parameters)
         keep = change_test.keep()
-        data, gone, end, begin = replay.streams
+        data, dropped_count, end, begin = replay.streams
         constants = [np.broadcast_to(white_box.known[name], motors) for name in white_box.given]
-        self._pinned = (  # pointers point to these
+        self._constant_arrays = (  # pointers point to these
             np.array(constants, dtype=float).reshape(len(white_box.given), motors),
             np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
             data,
-            gone,
+            dropped_count,
             end,
             begin,
         )
-        places = [array.ctypes.data for array in self._pinned]
+        places = [array.ctypes.data for array in self._constant_arrays]
         self._update = _Update(
             coordinates=len(white_box.parameters),
             samples=rules.block,
@@ -301,10 +301,10 @@ class RegularBlocks:
             return state, BatchResult.nothing_done(next_update_at.size)
         state = self._point(state, next_update_at, is_block_update)
         count = self._library.learn_due(self._update, most, *self._batch_places)
-        motors, status, changed = self._batch
+        motors, status, has_learnt = self._batch
         block_motors = None if count > most else motors[:count].copy()
         return state, BatchResult(
-            block_motors, status[:count].copy(), changed.copy(), self._wait.value
+            block_motors, status[:count].copy(), has_learnt.copy(), self._wait.value
         )
 
     def _point(
@@ -315,7 +315,7 @@ class RegularBlocks:
     ) -> EstimatorState:
         """Let the compiled code write to the arrays themselves, or to writable copies of them."""
         parts = (*_parts(state), next_update_at, is_block_update)
-        if self._pointed and all(map(is_, parts, self._pointed)):
+        if self._target_parts and all(map(is_, parts, self._target_parts)):
             return state
         arrays = (*_of_learnt(state), next_update_at, is_block_update)
         if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
@@ -323,7 +323,7 @@ class RegularBlocks:
             arrays = (*_of_learnt(state), next_update_at, is_block_update)
         for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
             setattr(self._update, name, array.ctypes.data)
-        self._pointed = (*_parts(state), next_update_at, is_block_update)
+        self._target_parts = (*_parts(state), next_update_at, is_block_update)
         return state
 
 

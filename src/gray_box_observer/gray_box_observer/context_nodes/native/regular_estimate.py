@@ -60,10 +60,10 @@ class RegularEstimates:
         self._library.tell_estimates.argtypes = (_POINTER, _POINTER, _COUNT, *3 * (_POINTER,))
         self._library.tell_estimates.restype = _COUNT
         lower, upper = bounds(parameters)
-        self._believed = _Believed(
+        self._belief_pointers = _Believed(
             n, tuple(lower.tolist()), tuple(upper.tolist()), log_normal=LOG_NORMAL
         )
-        self._about = ctypes.byref(self._believed)
+        self._about = ctypes.byref(self._belief_pointers)
         self._places = np.empty(motors, dtype=np.int64)
         self._results = (
             np.empty((motors, n)),
@@ -117,9 +117,12 @@ class RegularEstimates:
         if share is self._shares[0] and reach is self._shares[1]:
             return True
         if share is None or reach is None:
-            self._believed.share = self._believed.reach = None
+            self._belief_pointers.share = self._belief_pointers.reach = None
         elif share.flags.c_contiguous and reach.flags.c_contiguous:
-            self._believed.share, self._believed.reach = share.ctypes.data, reach.ctypes.data
+            self._belief_pointers.share, self._belief_pointers.reach = (
+                share.ctypes.data,
+                reach.ctypes.data,
+            )
         else:
             return False
         self._shares = share, reach
@@ -129,14 +132,16 @@ class RegularEstimates:
         """Let the compiled code read this belief; tell whether it can."""
         if rules is not self._rules:
             for name in _RULES:
-                setattr(self._believed, name, getattr(rules, name))
+                setattr(self._belief_pointers, name, getattr(rules, name))
             self._rules = rules
         if belief is not self._belief:
             arrays = belief.p, belief.covariance, belief.noise
             if not all(array.flags.c_contiguous for array in arrays):
                 return False
-            self._believed.p, self._believed.covariance, self._believed.noise = (
-                a.ctypes.data for a in arrays
-            )
+            (
+                self._belief_pointers.p,
+                self._belief_pointers.covariance,
+                self._belief_pointers.noise,
+            ) = (a.ctypes.data for a in arrays)
             self._belief = belief
         return True

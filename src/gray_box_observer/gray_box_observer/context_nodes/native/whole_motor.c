@@ -1,5 +1,8 @@
 /* The trajectory of one motor with a rotor, sample after sample, with its derivatives:
- * context_nodes/rotor/trajectory.py for compiled code. */
+ * context_nodes/rotor/rotor_trajectory.py for compiled code. */
+#include <stddef.h>
+
+#include "context_nodes/native/straight_motion.h"
 #include "white_box/whole_motor.h"
 
 #define COLUMNS (STATES + COORDINATES)
@@ -47,27 +50,63 @@ INLINE int passing(const double *start, const Linear *here, const double *end, d
     return passes;
 }
 
-/* Move one interval on, again in shorter steps where a state has passed zero. */
-static Linear interval_moved(const double *p, double torque_constant, const double *start,
-                             double voltage,
-                             double length, double largest_step, int64_t most_steps,
-                             int64_t *taken)
+/* How steps are chosen; `ladder` may be none. */
+typedef struct {
+    double largest_step;
+    int64_t most_steps;
+    const Ladder *ladder;
+} Stepping;
+
+enum { FEW_STEPS = 4, STRAIGHT_COST = 2, FEWEST_INTERVALS = 8, MANY_STEPS = 16 };
+#define SAME_LENGTH 1e-6
+
+/* Move on by a length, the ladder's where there is one: at once where the rate is straight on the
+ * way, in steps where these are few, else by halves. Steps are shorter where a state passes zero. */
+static Linear moved_on(const double *p, double torque_constant, const double *start, double voltage,
+                       double length, const Stepping *by, int level, int64_t *taken)
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
-    const double away = fastest(&here);
-    const Linear moved =
-        in_steps(p, torque_constant, start, &here, voltage, length, away, largest_step, most_steps,
-                 taken);
-    const int passes = passing(start, &here, moved.value, length);
-    if (!passes) return moved;
-    double at[STATES];
-    for (int s = 0; s < STATES; s++) at[s] = passes >> s & 1 ? 0.0 : start[s];
-    const Linear there = rate_of(p, torque_constant, at, voltage);
-    const double steepest = fastest(&there);
-    if (!(steepest > away)) return moved;
-    return in_steps(
-        p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps,
-        taken);
+    Linear moved;
+    if (by->ladder && straight_moved(by->ladder, level, p, torque_constant, start, &here, voltage,
+                                     length, &moved)) {
+        *taken += STRAIGHT_COST;
+        return moved;
+    }
+    double away = fastest(&here);
+    const double few = FEW_STEPS * by->largest_step;
+    const int may_halve = by->ladder && level < HALVINGS;
+    if (!may_halve || away * length <= few) {
+        moved = in_steps(p, torque_constant, start, &here, voltage, length, away, by->largest_step,
+                         by->most_steps, taken);
+        const int passes = passing(start, &here, moved.value, length);
+        if (!passes) return moved;
+        double at[STATES];
+        for (int s = 0; s < STATES; s++) at[s] = passes >> s & 1 ? 0.0 : start[s];
+        const Linear there = rate_of(p, torque_constant, at, voltage);
+        const double steepest = fastest(&there);
+        if (!(steepest > away)) return moved;
+        away = steepest;
+        if (!may_halve || away * length <= few)
+            return in_steps(p, torque_constant, start, &here, voltage, length, away,
+                            by->largest_step, by->most_steps, taken);
+    }
+    const Linear first =
+        moved_on(p, torque_constant, start, voltage, 0.5 * length, by, level + 1, taken);
+    const Linear then =
+        moved_on(p, torque_constant, first.value, voltage, 0.5 * length, by, level + 1, taken);
+    return joined(&first, &then);
+}
+
+/* Make the ladder of a length anew where that is worth it; returns whether there is one. */
+static int ladder_of(const double *p, double torque_constant, const double *far,
+                     const double *start, double voltage, double length, double largest_step,
+                     Ladder *ladder)
+{
+    if (absolute(length - ladder->length) <= SAME_LENGTH * ladder->length) return ladder->is_made;
+    const Linear here = rate_of(p, torque_constant, start, voltage);
+    if (!(fastest(&here) * length > MANY_STEPS * largest_step)) return 0;
+    ladder_made(p, torque_constant, far, length, ladder);
+    return ladder->is_made;
 }
 
 int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
@@ -91,11 +130,18 @@ int64_t whole_motor_follow(const double *p, double torque_constant, const double
         states[s] = start[s];
         for (int j = 0; j < COLUMNS; j++) slopes[s * COLUMNS + j] = j == s;
     }
+    const int is_long = count >= FEWEST_INTERVALS;
+    Ladder ladder;
+    if (is_long) ladder_made(p, torque_constant, limits, length[count / 2], &ladder);
     for (int64_t k = 0; k < count; k++) {
         if (load) loaded[LOAD_TORQUE] = p[LOAD_TORQUE] + load[k];
+        const double *here = states + k * STATES;
+        const int is_ready =
+            is_long && ladder_of(loaded, torque_constant, limits, here, voltage[k], length[k],
+                                 largest_step, &ladder);
+        const Stepping by = {largest_step, most_steps, is_ready ? &ladder : NULL};
         const Linear moved =
-            interval_moved(loaded, torque_constant, states + k * STATES, voltage[k], length[k],
-                           largest_step, most_steps, taken);
+            moved_on(loaded, torque_constant, here, voltage[k], length[k], &by, 0, taken);
         if (*taken > patience) return k;
         const double *before = slopes + k * STATES * COLUMNS;
         double *after = slopes + (k + 1) * STATES * COLUMNS;
@@ -140,6 +186,24 @@ void whole_motor_by_knot(int64_t count, int64_t knots, const double *place, cons
     }
 }
 
+/* What further inputs move the current by: `gains` is [count][STATES] of one input, `inputs` is
+ * [count][columns], and `currents` has room for [count + 1][columns]. */
+void whole_motor_respond(int64_t count, int64_t columns, const double *transitions,
+                         const double *gains, const double *inputs, double *currents)
+{
+    for (int64_t j = 0; j < columns; j++) {
+        double current = 0.0, speed = 0.0;
+        currents[j] = 0.0;
+        for (int64_t k = 0; k < count; k++) {
+            const double *by = transitions + k * STATES * STATES, *gain = gains + k * STATES;
+            const double input = inputs[k * columns + j], before = current;
+            current = by[0] * before + by[1] * speed + gain[CURRENT] * input;
+            speed = by[2] * before + by[3] * speed + gain[SPEED] * input;
+            currents[(k + 1) * columns + j] = current;
+        }
+    }
+}
+
 enum { LOADED = STATES, FILTER_STATES };
 typedef struct {
     double noise, no_load_speed, share, coarseness, slip, stall, furthest, memory, largest_step;
@@ -174,8 +238,8 @@ int64_t whole_motor_filter_step(const double *p, double torque_constant,
     for (int j = 0; j < COORDINATES; j++) loaded[j] = p[j];
     loaded[LOAD_TORQUE] = mean[LOADED];
     int64_t taken = 0;
-    const Linear moved = interval_moved(loaded, torque_constant, mean, voltage, length,
-                                        set->largest_step, set->most_steps, &taken);
+    const Stepping by = {set->largest_step, set->most_steps, NULL};
+    const Linear moved = moved_on(loaded, torque_constant, mean, voltage, length, &by, 0, &taken);
     const double most[STATES] = {100.0 * (absolute(mean[CURRENT]) + set->noise) + 1e3,
                                  100.0 * set->no_load_speed + absolute(mean[SPEED])};
     for (int s = 0; s < STATES; s++)

@@ -29,7 +29,7 @@ class FilterSettings(ctypes.Structure):
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
     handle = compiled.load()
-    if handle is None or not hasattr(handle, 'whole_motor_filter_step'):
+    if handle is None or not hasattr(handle, 'whole_motor_respond'):
         return None
     fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_follow
     fingerprint.restype = run.restype = _COUNT
@@ -40,6 +40,9 @@ def library() -> ctypes.CDLL | None:
     by_knot = handle.whole_motor_by_knot
     by_knot.restype = None
     by_knot.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
+    respond = handle.whole_motor_respond
+    respond.restype = None
+    respond.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
     size, step = handle.whole_motor_filter_size, handle.whole_motor_filter_step
     size.restype = step.restype = _COUNT
     step.argtypes = (

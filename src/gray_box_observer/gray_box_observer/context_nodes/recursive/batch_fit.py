@@ -94,7 +94,7 @@ def batch_fit(
     start: Array,
     prior: Prior,
     noise_floor: float,
-    trusting: int = 2,
+    plain_steps: int = 2,
     least_noise: Array | float = 0.0,
 ) -> Fit:
     """Fit the coordinates and the first state to a stretch.
@@ -105,18 +105,20 @@ def batch_fit(
         start: shape (motor, coordinate): where the search begins.
         prior: decides what the data leave open.
         noise_floor: smallest noise that is believed, as a fraction of the current's size.
-        trusting: steps taken before any sample may be left out; more where the start may be far
+        plain_steps: steps taken before any sample may be left out; more where the start may be far
             off, for then what does not fit is what tells.
         least_noise: shape (motor,): likewise in A, what quantisation leaves of it.
     """
-    arrived = []
-    for search in _Search(white_box, stretch, start, prior, noise_floor, least_noise).run(trusting):
-        for part, disturbed in search.split(search.choose_gain()):
-            arrived += part.run(trusting) if disturbed else [part]
-    fits = [search.result() for search in arrived]
+    searches = []
+    for search in _Search(white_box, stretch, start, prior, noise_floor, least_noise).run(
+        plain_steps
+    ):
+        for part, is_disturbed in search.split(search.choose_gain()):
+            searches += part.run(plain_steps) if is_disturbed else [part]
+    fits = [search.result() for search in searches]
     if len(fits) == 1:
         return fits[0]
-    order = np.argsort(np.concatenate([search.motors for search in arrived]))
+    order = np.argsort(np.concatenate([search.motors for search in searches]))
     beliefs = [fit.belief.arrays() for fit in fits]
     belief = Belief(
         **{name: np.concatenate([arrays[name] for arrays in beliefs])[order] for name in beliefs[0]}
@@ -153,16 +155,18 @@ class _Search:
         self._precision = inverted(prior.covariance)
         self._stretch = stretch
         self._restarts = np.sum(stretch.restart, axis=1)
-        measured = stretch.state
-        self._size = np.maximum(np.quantile(np.abs(measured), 0.9, axis=1), 1e-9)
+        measured_state = stretch.state
+        self._size = np.maximum(np.quantile(np.abs(measured_state), 0.9, axis=1), 1e-9)
         reach = CREDIBLE * self._size[:, None]
-        self._measured_near = np.clip(measured, -reach, reach)
+        self._measured_near = np.clip(measured_state, -reach, reach)
         self._floor = np.maximum(noise_floor * self._size, least_noise)
         self._p = within_bounds(white_box, start)
         self._about = self._measured_near
         self._first = self._about[:, 0]
-        self._gain = np.zeros(measured.shape[0])
-        self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
+        self._gain = np.zeros(measured_state.shape[0])
+        self._loose = np.zeros_like(
+            measured_state
+        )  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = (
             Scaling(self._size, self._p),
@@ -201,12 +205,12 @@ class _Search:
             if np.any(mask)
         ]
 
-    def run(self, trusting: int) -> list[_Search]:
+    def run(self, plain_steps: int) -> list[_Search]:
         """Iterate until nothing moves; return the searches that have come to an end."""
-        arrived, search = [], self
+        converged_searches, search = [], self
         search._begin()
         for iteration in range(MAX_STEPS):
-            search._evaluate(robust=iteration >= trusting)
+            search._evaluate(robust=iteration >= plain_steps)
             worse = ~(search._scale <= 2.0 * search._best_scale) & (iteration > 0)
             if np.any(worse):  # stepped too far: back, and shorter
                 search._go_back(worse)
@@ -218,12 +222,12 @@ class _Search:
                 worse, search._best_scale, np.minimum(search._scale, search._best_scale)
             )
             there = ~worse & (search._step(~worse) < TOLERANCE)
-            if iteration > trusting and np.any(there):
-                arrived.append(search.select(there))
+            if iteration > plain_steps and np.any(there):
+                converged_searches.append(search.select(there))
                 if np.all(there):
-                    return arrived
+                    return converged_searches
                 search = search.select(~there)
-        return [*arrived, search]
+        return [*converged_searches, search]
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:
         """Return some motors to their best coordinates so far, with smaller steps from there."""
@@ -271,8 +275,8 @@ class _Search:
         change = self._residual[:, 1:] - self._path.factor * self._residual[:, :-1]
         white = change / np.sqrt(1.0 + self._path.factor**2)
         sharp = np.minimum(self._scale, robust_std(white, ~self._stretch.restart))
-        floored: Array = np.maximum(sharp, self._floor)
-        return floored
+        bounded_scale: Array = np.maximum(sharp, self._floor)
+        return bounded_scale
 
     @property
     def _valid(self) -> NDArray[np.bool_]:
@@ -333,15 +337,15 @@ class _Search:
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
-        disturbed: NDArray[np.bool_] = best > 0.0
-        return disturbed
+        is_disturbed: NDArray[np.bool_] = best > 0.0
+        return is_disturbed
 
     def _spread(self, residual: Array, trust: NDArray[np.bool_]) -> Array:
         spread: Array = np.sqrt(
             np.sum(trust * residual**2, axis=1) / np.maximum(np.sum(trust, axis=1), 1)
         )
-        floored: Array = np.maximum(spread, self._floor)
-        return floored
+        bounded_spread: Array = np.maximum(spread, self._floor)
+        return bounded_spread
 
     def result(self) -> Fit:
         """Return where the search has ended."""
@@ -370,8 +374,8 @@ class _Search:
         heats = np.array([parameter.heats for parameter in self._white_box.parameters])
         if not np.any(heats):
             return np.zeros(self._p.shape[0])
-        passed = np.cumsum(self._stretch.interval_s, axis=1)
-        share = passed / np.maximum(passed[:, -1:], 1e-300)
+        elapsed_s = np.cumsum(self._stretch.interval_s, axis=1)
+        share = elapsed_s / np.maximum(elapsed_s[:, -1:], 1e-300)
         by_heat = np.einsum('jmk,mj->mk', self._maps.by_coordinate[heats], self._p[:, heats])
         inputs = np.where(self._stretch.restart, 0.0, by_heat * share)
         drift = recurrence(self._path.factor, inputs[None], np.zeros((1, self._p.shape[0])))[0]

@@ -126,13 +126,13 @@ class Belief:
         """Return this belief with that of another for some of the motors."""
         if selection.all():
             return other
-        mixed = {
+        arrays = {
             name: np.where(
                 selection.reshape((-1,) + (1,) * (old.ndim - 1)), getattr(other, name), old
             )
             for name, old in self.arrays().items()
         }
-        return Belief(**mixed)
+        return Belief(**arrays)
 
     def loosened(self, directions: Array) -> Belief:
         """Return the belief with freedom added to the log-coordinates, shape (coordinate, k)."""

@@ -51,14 +51,14 @@ class Block:
         jacobian: derivative of the predicted current by the unknowns.
         spread: standard deviation of the residual, in units of the noise.
         valid: where the interval is no restart.
-        kept: where the sample is no outlier either.
+        is_inlier: where the sample is no outlier either.
         weights: what each sample counts: less than one after a restart, nothing where it is not
             kept.
         left: shape (motor,): variance that restarts leave in the state at the end, in units of the
             noise's.
-        kicked: shape (motor,): whether the state was let go.
+        has_kick: shape (motor,): whether the state was let go.
         samples: shape (motor,): how many are valid.
-        used: shape (motor,): how many are kept.
+        inlier_count: shape (motor,): how many are kept.
         information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
         right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning
             and testing ask for.
@@ -70,12 +70,12 @@ class Block:
     jacobian: Array
     spread: Array
     valid: NDArray[np.bool_]
-    kept: NDArray[np.bool_]
+    is_inlier: NDArray[np.bool_]
     weights: Array
     left: Array
-    kicked: NDArray[np.bool_]
+    has_kick: NDArray[np.bool_]
     samples: NDArray[np.int_]
-    used: NDArray[np.int_]
+    inlier_count: NDArray[np.int_]
     information: Array
     right: Array
 
@@ -103,13 +103,13 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
     about, near = _outset(belief, stretch)
     path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
     limit = OUTLIER * belief.noise[:, None] * spread
-    kicked = np.zeros(belief.state.size, dtype=bool)
+    has_kick = np.zeros(belief.state.size, dtype=bool)
     if (off := np.abs(residual) > limit).any():
         odd = off.any(
             axis=1, keepdims=True
         )  # whoever has no outlier is asked nothing, as it would be alone
         kicks = find_kicks(path, residual, ~stretch.restart, belief.noise) & odd
-        kicked = np.any(kicks, axis=1)
+        has_kick = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
         near = np.abs(residual) <= limit
         path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
@@ -121,10 +121,10 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
             path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
-    kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
+    is_inlier: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
     residual, jacobian = residual[:, 1:], jacobian[:, 1:]
-    counts = valid.sum(axis=1), kept.sum(axis=1)
-    weights = kept / (1.0 + loose[:, 1:])
+    counts = valid.sum(axis=1), is_inlier.sum(axis=1)
+    weights = is_inlier / (1.0 + loose[:, 1:])
     normal = weighted(jacobian, weights, residual)
     left = taken_over(loose[:, -1])
     return Block(
@@ -134,10 +134,10 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
         jacobian,
         spread[:, 1:],
         valid,
-        kept,
+        is_inlier,
         weights,
         left,
-        kicked,
+        has_kick,
         *counts,
         *normal,
     )
@@ -201,12 +201,14 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walk_spread: Array 
     step[:, COORDINATES] = step[:, COORDINATES].clip(-0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, COORDINATES]))
     transfer = belief.frame.transfer(block.path)
-    moved = transfer @ posterior @ transfer.swapaxes(1, 2)
-    moved[:, CURRENT, CURRENT] += block.left / belief.current_a**2
+    end_covariance = transfer @ posterior @ transfer.swapaxes(1, 2)
+    end_covariance[:, CURRENT, CURRENT] += block.left / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, CURRENT, 0] * belief.current_a
     if walk_spread is not None:
-        moved[:, COORDINATES, COORDINATES] += walk_spread / (belief.noise**2)[:, None, None]
-    covariance = belief.frame.convert(moved, Scaling(belief.current_a, p))
+        end_covariance[:, COORDINATES, COORDINATES] += (
+            walk_spread / (belief.noise**2)[:, None, None]
+        )
+    covariance = belief.frame.convert(end_covariance, Scaling(belief.current_a, p))
     after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 
@@ -229,26 +231,29 @@ def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
     n = belief.p.shape[1]
     both = np.empty((*block.right.shape, n + STATES + 1))
     both[..., :-1], both[..., -1] = block.information, block.right
-    reached = solved(np.eye(n + STATES) + block.information @ belief.covariance, both)
-    sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
+    solution = solved(np.eye(n + STATES) + block.information @ belief.covariance, both)
+    sound = ~block.has_kick & (np.diagonal(solution, axis1=1, axis2=2) >= 0.0).all(axis=1)
     if not sound.all():  # rounding has made the covariance indefinite: mend it
-        mended = semidefinite(belief.covariance)
-        again = solved(np.eye(n + STATES) + block.information @ mended, both)
-        reached = np.where(sound[:, None, None], reached, again)
-        sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
-    turned = belief.sensitivity[:, :, None] * reached[:, CURRENT, None] + reached[:, COORDINATES]
+        mended_covariance = semidefinite(belief.covariance)
+        again = solved(np.eye(n + STATES) + block.information @ mended_covariance, both)
+        solution = np.where(sound[:, None, None], solution, again)
+        sound = ~block.has_kick & (np.diagonal(solution, axis1=1, axis2=2) >= 0.0).all(axis=1)
+    score_terms = (
+        belief.sensitivity[:, :, None] * solution[:, CURRENT, None] + solution[:, COORDINATES]
+    )
     information = (
-        turned[:, :, CURRENT, None] * belief.sensitivity[:, None, :] + turned[:, :, STATES:-1]
+        score_terms[:, :, CURRENT, None] * belief.sensitivity[:, None, :]
+        + score_terms[:, :, STATES:-1]
     )
     unit = sound / belief.noise**2
-    return _cleared(turned[:, :, -1], unit), _cleared(information, unit)
+    return _cleared(score_terms[:, :, -1], unit), _cleared(information, unit)
 
 
 def _cleared(values: Array, unit: Array) -> Array:
     """Values times a factor a motor; exactly zero, whatever they are, where that is zero."""
     factor = unit.reshape((-1,) + (1,) * (values.ndim - 1))
-    cleared: Array = np.where(factor > 0.0, values * factor, 0.0)
-    return cleared
+    product: Array = np.where(factor > 0.0, values * factor, 0.0)
+    return product
 
 
 def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.int_]]:
@@ -265,11 +270,13 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     n = belief.p.shape[1]
     gram = np.eye(n + STATES) + block.information @ belief.covariance
     sign, logarithm = np.linalg.slogdet(gram)
-    explained = np.sum(
+    square_reduction = np.sum(
         block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1
     )
-    squares = (np.sum(block.weights * block.residual**2, axis=1) - explained) / belief.noise**2
-    logarithm = logarithm - np.sum(np.log(np.where(block.kept, block.weights, 1.0)), axis=1)
-    is_valid = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
-    count = np.where(is_valid, block.used, 0)
+    squares = (
+        np.sum(block.weights * block.residual**2, axis=1) - square_reduction
+    ) / belief.noise**2
+    logarithm = logarithm - np.sum(np.log(np.where(block.is_inlier, block.weights, 1.0)), axis=1)
+    is_valid = ~block.has_kick & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
+    count = np.where(is_valid, block.inlier_count, 0)
     return np.where(is_valid, squares, 0.0), np.where(is_valid, 0.5 * logarithm, 0.0), count

@@ -145,8 +145,8 @@ class BlockUpdater:
                 fresh[:, None], self._first_guess(motors, state.prior, stretch, samples), start
             )
         fit = self._fitted(motors, stretch, start, state.prior)
-        if (refuted := self._refuted(state.prior, fit.belief)).size:
-            fit = self._fit_without(motors, samples, fit, refuted)
+        if (refuted_motors := self._refuted(state.prior, fit.belief)).size:
+            fit = self._fit_without(motors, samples, fit, refuted_motors)
         state.is_started = np.ones_like(state.is_started)
         motors.adopt(fit.belief, np.ones_like(fresh))
         state.share = voltage_shares(motors.white_box, stretch)
@@ -158,8 +158,8 @@ class BlockUpdater:
         )
         state.hold = self._holds.fitted(state.hold, state.belief, stretch)
         settles = state.in_vain <= FREE_EXAMINATIONS
-        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & state.hold.begun & settles):
-            self._changes.drifting(motors, drifting)
+        if np.any(has_ramp := (fit.ramp > RAMP_EVIDENCE) & state.hold.begun & settles):
+            self._changes.drifting(motors, has_ramp)
         state.belief = self._holds.cut(state.hold, state.belief)
 
     def _fitted(
@@ -257,21 +257,26 @@ class BlockUpdater:
     def update(self, motors: MotorSelection, samples: int) -> None:
         """Learn one block of samples; request an examination where the motor seems changed."""
         state = motors.state
-        stretch, fresh, expected = motors.newest(samples + 1), ~state.hold.begun, state.belief
+        stretch, fresh, expected_belief = (
+            motors.newest(samples + 1),
+            ~state.hold.begun,
+            state.belief,
+        )
         if fresh.any():  # what is vague must not make everything seem possible
-            expected = replace(
-                expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance)
+            expected_belief = replace(
+                expected_belief,
+                covariance=np.where(fresh[:, None, None], 0.0, expected_belief.covariance),
             )
-        block = block_step.predict(motors.white_box, expected, stretch)
+        block = block_step.predict(motors.white_box, expected_belief, stretch)
         still = np.ptp(stretch.state, axis=1) <= STILL * state.least_noise
         if (silent := fresh | (still & (state.least_noise > 0.0))).any():
             block = block.silenced(silent)
-        state.outliers = state.outliers + (block.samples - block.used)
-        state.kicks = state.kicks + block.kicked
-        state.pending = self._suspects(state, block)
+        state.outliers = state.outliers + (block.samples - block.inlier_count)
+        state.kicks = state.kicks + block.has_kick
+        state.task_code = self._suspects(state, block)
         if fresh.any():
             self._look_at_rest(motors, fresh, block)
-        calm = state.pending == 0
+        calm = state.task_code == 0
         if calm.all():
             self._learn(motors, block)
         elif calm.any():
@@ -291,7 +296,7 @@ class BlockUpdater:
         if np.any(elsewhere := sudden & self._holds.same(state.hold, block.stretch)):
             state.change_count = state.change_count + elsewhere
             self._begin_again(motors, elsewhere, self._rules.first_fit, 0)
-        state.pending = np.where(fresh, 0, state.pending)
+        state.task_code = np.where(fresh, 0, state.task_code)
 
     def _begin_again(
         self, motors: MotorSelection, selection: NDArray[np.bool_], keep: int, more: int
@@ -322,30 +327,31 @@ class BlockUpdater:
         )
         state.score, state.information = scores
         state.belief = replace(belief, sensitivity=total_sensitivity / size)
-        is_lost = (block.used < 0.5 * block.samples) | (block.kicked & ~state.hold.begun)
+        is_lost = (block.inlier_count < 0.5 * block.samples) | (block.has_kick & ~state.hold.begun)
         state.suspicion, state.since = self._suspicion(state, block, is_lost)
         sudden = state.suspicion >= SUSPICIOUS_BLOCKS
         state.left_out = (
-            LEFT_OUT_MEMORY * state.left_out + (block.samples - block.used) / block.kept.shape[1]
+            LEFT_OUT_MEMORY * state.left_out
+            + (block.samples - block.inlier_count) / block.is_inlier.shape[1]
         )
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of
         # another inductance
         misfit = (state.left_out > LEFT_OUT) & ~is_lost
         if not (alarm | sudden | misfit).any():
-            return np.zeros_like(state.pending)
+            return np.zeros_like(state.task_code)
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
-        pending: NDArray[np.int_] = np.where(
+        examination_samples: NDArray[np.int_] = np.where(
             alarm | sudden | misfit, np.where(sudden, state.since, samples), 0
         )
-        put_off = (pending > 0) & (
+        put_off = (examination_samples > 0) & (
             state.position - state.examined_at < patience(state.in_vain, self._rules.block)
         )
         if not put_off.any():
-            return pending
+            return examination_samples
         state.score = np.where(put_off[:, None, None], 0.0, state.score)
         state.information = np.where(put_off[:, None, None, None], 0.0, state.information)
-        return np.where(put_off, 0, pending)
+        return np.where(put_off, 0, examination_samples)
 
     @staticmethod
     def _suspicion(
@@ -355,7 +361,7 @@ class BlockUpdater:
         if not is_lost.any():
             return 0.0 * state.suspicion, 0 * state.since
         suspicion = np.where(is_lost, state.suspicion + 1.0, 0.0)
-        unfit = block.valid & ~block.kept
+        unfit = block.valid & ~block.is_inlier
         fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
         return suspicion, np.where(
             is_lost, state.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0
@@ -364,9 +370,9 @@ class BlockUpdater:
     def _learn(self, motors: MotorSelection, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
         state = motors.state
-        walking = state.walk_rate > 0.0
+        is_walking = state.walk_rate > 0.0
         passed_s, walk_spread = block.stretch.interval_s.sum(axis=1), None
-        if walking.any():
+        if is_walking.any():
             walk_spread = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
         state.belief = block_step.learn(motors.white_box, state.belief, block, walk_spread)
         self._follow_noise(state, block)
@@ -377,24 +383,26 @@ class BlockUpdater:
 
     def _move_anchors(self, state: EstimatorState, selection: Any) -> None:
         """Where a motor's anchor is about to be forgotten, test for drift or drop a new anchor."""
-        walking = state.walk_rate[selection] > 0.0
+        is_walking = state.walk_rate[selection] > 0.0
         due = state.position[selection] - state.anchor_position[
             selection
-        ] >= self._rules.replay_capacity // np.where(walking, 2, 1)
+        ] >= self._rules.replay_capacity // np.where(is_walking, 2, 1)
         if not due.any():
             return
         everyone = np.zeros(state.motors, dtype=bool)
-        everyone[selection] = due & walking
-        state.pending = np.where(everyone, WALK_AGAIN, state.pending)
-        everyone[selection] = due & ~walking
+        everyone[selection] = due & is_walking
+        state.task_code = np.where(everyone, WALK_AGAIN, state.task_code)
+        everyone[selection] = due & ~is_walking
         state.anchor_here(everyone)
 
     def _follow_noise(self, state: EstimatorState, block: Block) -> None:
         count = block.residual.shape[1]
         state.noise_count = np.minimum(state.noise_count + count, self._rules.noise_memory)
-        mean_square = (np.where(block.kept, block.residual / block.spread, 0.0) ** 2).sum(axis=1)
-        mean_square = mean_square / np.maximum(block.used, 1)
-        share = np.where(block.used > 0, count / state.noise_count, 0.0)
+        mean_square = (np.where(block.is_inlier, block.residual / block.spread, 0.0) ** 2).sum(
+            axis=1
+        )
+        mean_square = mean_square / np.maximum(block.inlier_count, 1)
+        share = np.where(block.inlier_count > 0, count / state.noise_count, 0.0)
         before = state.belief.noise
         variance = before**2 + share * (mean_square - before**2)
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * state.belief.current_a)

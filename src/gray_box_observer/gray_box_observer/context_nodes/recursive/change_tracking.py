@@ -81,33 +81,33 @@ class ChangeTracker:
             [evidence_for(stretch, baseline, fit) - penalty for fit, penalty in pairs]
         )
         best = np.argmax(evidence, axis=0)
-        changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
-        state.belief = self._back_on_track(belief, baseline.belief, ~changed)
-        if not np.any(changed):
+        has_changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
+        state.belief = self._back_on_track(belief, baseline.belief, ~has_changed)
+        if not np.any(has_changed):
             return
         settles = (
             state.in_vain <= FREE_EXAMINATIONS
         )  # what jumps again and again is no winding that heats
-        jumped = changed & ~self.drifting(motors, changed & settles, samples)
-        if not np.any(jumped):
+        has_jumped = has_changed & ~self.drifting(motors, has_changed & settles, samples)
+        if not np.any(has_jumped):
             return
-        state.change_count = state.change_count + jumped
-        motors.forget(samples, jumped)
+        state.change_count = state.change_count + has_jumped
+        motors.forget(samples, has_jumped)
         best_belief, freedom = fits[0].belief, priors[0].covariance
         for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             best_belief = best_belief.overwritten(fit.belief, best == j)
             freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
-        one = jumped[:, None]
+        one = has_jumped[:, None]
         p = np.where(one, before.p, state.prior.p)
         state.prior = Prior(p, np.where(one[..., None], freedom, state.prior.covariance))
-        motors.adopt(best_belief, jumped)
+        motors.adopt(best_belief, has_jumped)
         state.share = np.where(one, 0.0, state.share)
-        state.anchor_here(jumped)
+        state.anchor_here(has_jumped)
 
     def walk_again(self, motors: MotorSelection, samples: int = 0) -> None:
         """Ask motors that drift how fast they do, by the samples since their anchor."""
         state = motors.state
-        state.pending = np.zeros_like(state.pending)
+        state.task_code = np.zeros_like(state.task_code)
         self.drifting(motors, np.ones_like(state.is_started))
         state.anchor_here(np.ones_like(state.is_started))
 
@@ -121,14 +121,14 @@ class ChangeTracker:
             selection: shape (motor,): those that are asked about.
             jumped_before: so many samples ago they may have changed suddenly instead.
         """
-        state, walking = motors.state, np.zeros_like(selection)
+        state, is_walking = motors.state, np.zeros_like(selection)
         length = state.position - state.anchor_position + 1
         for samples in np.unique(length[selection]).tolist():
             index = np.flatnonzero(selection & (length == samples))
             part = motors.part(index)
-            walking[index] = self._walk(part, part.newest(samples), jumped_before)
+            is_walking[index] = self._walk(part, part.newest(samples), jumped_before)
             put(state, index, part.state)
-        return walking
+        return is_walking
 
     def _walk(
         self, motors: MotorSelection, stretch: SampleWindow, jumped_before: int | None
@@ -143,18 +143,18 @@ class ChangeTracker:
         rate, after = random_walk.select_rate(
             motors.white_box, anchor, stretch, still, self._rules.block, jump
         )
-        walking: NDArray[np.bool_] = rate > 0.0
-        state.change_count = state.change_count + (walking & ~(state.walk_rate > 0.0))
+        is_walking: NDArray[np.bool_] = rate > 0.0
+        state.change_count = state.change_count + (is_walking & ~(state.walk_rate > 0.0))
         state.walk_rate = rate
-        if np.any(walking):
-            motors.adopt(after, walking)
-            state.anchor_here(walking)
-        return walking
+        if np.any(is_walking):
+            motors.adopt(after, is_walking)
+            state.anchor_here(is_walking)
+        return is_walking
 
     @staticmethod
     def _calm(state: EstimatorState) -> None:
         """Forget what has led to an examination."""
-        state.pending, state.since = 0 * state.pending, 0 * state.since
+        state.task_code, state.since = 0 * state.task_code, 0 * state.since
         state.suspicion, state.left_out = 0.0 * state.suspicion, 0.0 * state.left_out
         state.score, state.information = (
             np.zeros_like(state.score),

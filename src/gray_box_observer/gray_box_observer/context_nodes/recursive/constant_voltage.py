@@ -147,23 +147,23 @@ class ConstantVoltage:
         same, largest = self._same(hold.level, hold.largest, stretch)
         held_s = np.where(same, hold.held_s + np.sum(stretch.interval_s, axis=1), 0.0)
         level = np.where(same, hold.level, stretch.voltage_v[:, -1])
-        begun = hold.begun | self._moved(hold.level, largest, stretch)
-        level = np.where(begun, level, hold.level)
-        now = replace(hold, level=level, largest=largest, held_s=held_s, begun=begun)
+        has_begun = hold.begun | self._moved(hold.level, largest, stretch)
+        level = np.where(has_begun, level, hold.level)
+        now = replace(hold, level=level, largest=largest, held_s=held_s, begun=has_begun)
         if not np.any(same):
             return replace(now, settled=same), belief
-        moving = ~stretch.restart
+        is_valid = ~stretch.restart
         with np.errstate(divide='ignore'):
             rate = np.min(
-                np.where(moving, -np.log(decay), np.inf)
-                / np.where(moving, stretch.interval_s, 1.0),
+                np.where(is_valid, -np.log(decay), np.inf)
+                / np.where(is_valid, stretch.interval_s, 1.0),
                 axis=1,
             )
-        settled = same & (held_s * rate > SETTLED)
-        fresh = settled & ~hold.settled
+        has_settled = same & (held_s * rate > SETTLED)
+        fresh = has_settled & ~hold.settled
         p = np.where(fresh[:, None], belief.p, hold.p)
         covariance = np.where(fresh[:, None, None], belief.posterior, hold.covariance)
-        now = replace(now, settled=settled, p=p, covariance=covariance)
+        now = replace(now, settled=has_settled, p=p, covariance=covariance)
         return now, self.cut(now, belief)
 
     def fitted(self, hold: HoldState, belief: Belief, stretch: SampleWindow) -> HoldState:
@@ -177,11 +177,14 @@ class ConstantVoltage:
         first = np.where(np.isinf(hold.level), stretch.voltage_v[:, 0], hold.level)
         _, largest = self._same(first, hold.largest, stretch)
         variance = np.diagonal(belief.posterior, axis1=1, axis2=2)[:, ~self._free[COORDINATES]]
-        begun = (
+        has_begun = (
             hold.begun | self._moved(first, largest, stretch) | np.all(variance <= VAGUE**2, axis=1)
         )
-        level, largest = np.where(begun, hold.level, first), np.where(begun, hold.largest, largest)
-        return replace(hold, level=level, largest=largest, begun=begun)
+        level, largest = (
+            np.where(has_begun, hold.level, first),
+            np.where(has_begun, hold.largest, largest),
+        )
+        return replace(hold, level=level, largest=largest, begun=has_begun)
 
     def without_excitation(
         self, hold: HoldState, belief: Belief, prior: Prior, stretch: SampleWindow
@@ -221,13 +224,13 @@ class ConstantVoltage:
 
     def _moved(self, level: Array, largest: Array, stretch: SampleWindow) -> NDArray[np.bool_]:
         """Whether the voltage has left its first level by more than its noise, shape (motor,)."""
-        moving = ~stretch.restart
-        low, high = _range(stretch.voltage_v, moving)
+        is_valid = ~stretch.restart
+        low, high = _range(stretch.voltage_v, is_valid)
         is_moving: NDArray[np.bool_] = ~(
             np.fmax(high - level, level - low) <= MOVED_TOLERANCE * largest
         )
         if self._speed_measured:
-            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
+            slow, fast = _range(stretch.speed_rad_s[:, 1:], is_valid)
             is_moving |= fast - slow > MOVED_TOLERANCE * np.fmax(-slow, fast)
         return is_moving
 
@@ -239,12 +242,12 @@ class ConstantVoltage:
         self, level: Array, largest: Array, stretch: SampleWindow
     ) -> tuple[NDArray[np.bool_], Array]:
         """Whether a window lies at a level, and the largest voltage so far, each (motor,)."""
-        moving = ~stretch.restart
-        low, high = _range(stretch.voltage_v, moving)
+        is_valid = ~stretch.restart
+        low, high = _range(stretch.voltage_v, is_valid)
         largest = np.fmax(largest, np.fmax(-low, high))
         same: NDArray[np.bool_] = np.fmax(high - level, level - low) <= HOLD_TOLERANCE * largest
         if self._speed_measured:  # then a load excites too
-            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
+            slow, fast = _range(stretch.speed_rad_s[:, 1:], is_valid)
             same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
         return same, largest
 
@@ -278,13 +281,13 @@ class ConstantVoltage:
         is_moving = np.log(p[:, rest] / belief.p[:, rest])
         shift = np.concatenate([(a @ is_moving[..., None])[..., 0], is_moving], axis=1)[:, back]
         joint = joint[:, back][:, :, back]
-        restored = replace(
+        restored_belief = replace(
             belief,
             state=belief.state + shift[:, CURRENT] * belief.current_a,
             p=belief.p * np.exp(shift[:, COORDINATES]),
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
-        return belief.overwritten(restored, selection & restored.finite)
+        return belief.overwritten(restored_belief, selection & restored_belief.finite)
 
 
 def _beside(covariance: Array, coordinates: Array) -> Array:
@@ -295,10 +298,10 @@ def _beside(covariance: Array, coordinates: Array) -> Array:
     return result
 
 
-def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _range(signal: Array, is_valid: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Smallest and largest value of every motor, each (motor,); without values, far from any."""
     low, high = (
-        np.where(moving, signal, np.inf).min(axis=1),
-        np.where(moving, signal, -np.inf).max(axis=1),
+        np.where(is_valid, signal, np.inf).min(axis=1),
+        np.where(is_valid, signal, -np.inf).max(axis=1),
     )
     return low, high

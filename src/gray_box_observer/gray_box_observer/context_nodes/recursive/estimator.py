@@ -106,9 +106,9 @@ class RecursiveEstimator:
         self._schedule = UpdateSchedule(self._rules, self.replay)
         self._schedule.plan(self._state, slice(None))
         self._nobody = np.zeros(motors, dtype=bool)
-        self._changed = self._nobody
+        self._has_changed = self._nobody
         self._stamp_ns = 0
-        self._frozen = False
+        self._is_frozen = False
         self._resumes: NDArray[np.bool_] | None = None
         self._speed = np.zeros(motors)
 
@@ -120,7 +120,7 @@ class RecursiveEstimator:
     @property
     def changed(self) -> NDArray[np.bool_]:
         """Whose estimate the last sample has changed, shape (motor,)."""
-        return self._changed
+        return self._has_changed
 
     @property
     def noise_std_nm(self) -> Array:
@@ -150,19 +150,19 @@ class RecursiveEstimator:
         """Return one motor's voltage shares per unit of parameter, and their 3-sigma bound."""
         return self._state.share[motor], self._state.reach[motor]
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
-        if frozen == self._frozen:
+        if is_frozen == self._is_frozen:
             return
-        self._frozen = frozen
-        self._resumes = None if frozen else np.ones_like(self._nobody)
+        self._is_frozen = is_frozen
+        self._resumes = None if is_frozen else np.ones_like(self._nobody)
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief, parameters = self._state.belief, self._white_box.parameters
         everyone = isinstance(selection, slice) and selection == slice(None)
         motors = None if everyone else np.arange(self.replay.motors)[selection]
-        values = None if self._frozen else self._compiled_values(motors)
+        values = None if self._is_frozen else self._compiled_values(motors)
         if values is not None:
             return Estimate(self._stamp_ns, parameters, *values)
         theta = to_parameters(belief.p[selection])
@@ -179,7 +179,9 @@ class RecursiveEstimator:
         std = np.sqrt(covariance.diagonal(0, 1, 2))
         share = self._state.share[selection]
         most = np.where(share > 0.0, theta * share + self._state.reach[selection], np.inf)
-        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
+        verdicts = self.verdict_rules.judge(
+            parameters, theta, std, is_frozen=self._is_frozen, most=most
+        )
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def _compiled_values(self, motors: NDArray[np.intp] | None) -> tuple[Any, ...] | None:
@@ -197,8 +199,8 @@ class RecursiveEstimator:
                 has_speed &= sample.present
             self._speed = np.where(has_speed, sample.speed_rad_s, self._speed)
         self._stamp_ns = sample.stamp_ns
-        self._changed = self._nobody
-        if self._frozen:
+        self._has_changed = self._nobody
+        if self._is_frozen:
             return False
         if self._resumes is not None:
             sample, self._resumes = sample.resuming(self._resumes)
@@ -207,13 +209,13 @@ class RecursiveEstimator:
             return False
         self.replay.settle()
         self._state, batch = self._updater.learn_due(self._state, self._schedule)
-        self._changed = batch.changed
+        self._has_changed = batch.has_learnt
         if batch.wait:
             self._schedule.sleep(batch.wait)
         else:
             with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # checked later
                 self._finish(batch)
-        return bool(self._changed.any())
+        return bool(self._has_changed.any())
 
     def _finish(self, batch: BatchResult) -> None:
         """Do what is due and has not been done, as much of it as one sample's turn allows."""
@@ -221,10 +223,10 @@ class RecursiveEstimator:
         if motors is None:
             motors = self._schedule.due_blocks(self._updater.batch_size)
             self._state, status = self._updater.learn_regular(self._state, motors, self._schedule)
-        self._changed[motors] = status > 0
+        self._has_changed[motors] = status > 0
         self._updater.handle_flags(self._state, motors, status)
-        if (flagged := motors[status > LEARNT]).size:
-            self._schedule.plan(self._state, flagged)
+        if (flagged_motors := motors[status > LEARNT]).size:
+            self._schedule.plan(self._state, flagged_motors)
         if (irregular := motors[status == 0]).size:
             irregular = self._schedule.numpy_blocks(irregular)
             samples = self._schedule.next_update_at[irregular] - self._state.position[irregular]
@@ -252,7 +254,7 @@ class RecursiveEstimator:
                 work(part, count)
                 put(self._state, part.motor_index, part.state)
         index: Any = slice(None) if motors.size == self.replay.motors else motors
-        self._changed[index] = True
+        self._has_changed[index] = True
         self._schedule.plan(self._state, index)
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -273,7 +275,7 @@ class RecursiveEstimator:
             'examined': int(state.examined_at[0]) - received_count,
             'gone': received_count - content.shape[2],
             'begin': int(self.replay.begin(selection)[0]),
-            'asked': int(state.pending[0]),
+            'asked': int(state.task_code[0]),
         }
         arrays = saved_arrays(state)
         arrays |= {'speed': self._speed[selection].copy(), 'replay': content}

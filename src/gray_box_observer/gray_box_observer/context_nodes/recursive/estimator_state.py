@@ -28,8 +28,8 @@ class EstimatorState:
         position: place of the last sample that was learnt.
         is_started: whether there has been a fit.
         next_fit_at: samples remembered at which everything is fitted again.
-        pending: work that waits: samples to examine for a change, or one of :mod:`block_updater`'s
-            other words; 0: none.
+        task_code: work that waits: samples to examine for a change, or one of
+            :mod:`block_updater`'s other words; 0: none.
         noise_count: samples that the noise was estimated from.
         walk_rate: how fast what heats walks, see :mod:`random_walk`.
         suspicion: blocks in a row of which most did not fit.
@@ -56,7 +56,7 @@ class EstimatorState:
     position: NDArray[np.int_]
     is_started: NDArray[np.bool_]
     next_fit_at: NDArray[np.int_]
-    pending: NDArray[np.int_]
+    task_code: NDArray[np.int_]
     noise_count: NDArray[np.int_]
     walk_rate: Array
     suspicion: Array
@@ -89,7 +89,7 @@ class EstimatorState:
             position=no_counts,
             is_started=np.zeros(motors, dtype=bool),
             next_fit_at=np.full(motors, first_fit),
-            pending=no_counts,
+            task_code=no_counts,
             noise_count=no_counts,
             walk_rate=zeros,
             suspicion=zeros,
@@ -127,8 +127,8 @@ def chosen(state: _T, index: Any) -> _T:
     """Return the entries of some motors of an array, or of everything in a dataclass of such."""
     if is_dataclass(state) and not isinstance(state, type):
         return type(state)(*(chosen(getattr(state, field.name), index) for field in fields(state)))
-    picked: _T = state[index]  # type: ignore[index]
-    return picked
+    part: _T = state[index]  # type: ignore[index]
+    return part
 
 
 def put(state: Any, index: Any, part: Any) -> None:

@@ -30,14 +30,14 @@ def voltage_shares(white_box: WhiteBox, stretch: SampleWindow) -> Array:
         Shape (motor, parameter), in 1 / unit of the parameter; 0, which is nothing known, for what
         is never negligible: the leading parameter, and what heats (a winding has both).
     """
-    current, moving = stretch.state[:, 1:], ~stretch.restart
+    current, is_valid = stretch.state[:, 1:], ~stretch.restart
     speed = white_box.speed(current, stretch.speed_rad_s[:, 1:])
-    voltage = _mean_square(stretch.voltage_v, moving)
+    voltage = _mean_square(stretch.voltage_v, is_valid)
     shares = np.zeros((current.shape[0], len(white_box.parameters)))
     for j, phi in enumerate(white_box.basis(current, speed), start=1):
         if not white_box.parameters[j].heats:
             shares[:, j] = np.sqrt(
-                _mean_square(phi * np.ones_like(current), moving) / np.maximum(voltage, 1e-300)
+                _mean_square(phi * np.ones_like(current), is_valid) / np.maximum(voltage, 1e-300)
             )
     return np.where(np.isfinite(shares) & (voltage > 0.0)[:, None], shares, 0.0)
 
@@ -62,8 +62,8 @@ def linear_std(p: Array, information: Array, noise: Array) -> Array:
     return np.where(np.isfinite(variance) & (variance >= 0.0), np.sqrt(np.abs(variance)), np.inf)
 
 
-def _mean_square(signal: Array, moving: NDArray[np.bool_]) -> Array:
-    mean: Array = np.sum(np.where(moving, signal, 0.0) ** 2, axis=1) / np.maximum(
-        np.sum(moving, axis=1), 1
+def _mean_square(signal: Array, is_valid: NDArray[np.bool_]) -> Array:
+    mean: Array = np.sum(np.where(is_valid, signal, 0.0) ** 2, axis=1) / np.maximum(
+        np.sum(is_valid, axis=1), 1
     )
     return mean

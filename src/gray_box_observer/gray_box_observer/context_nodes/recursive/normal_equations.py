@@ -99,8 +99,8 @@ def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(No
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:
     """Information, (motor, unknown, unknown), and its right-hand side, (motor, unknown)."""
-    turned = (jacobian * weights[..., None]).swapaxes(1, 2)
-    return turned @ jacobian, (turned @ residual[..., None])[..., 0]
+    weighted_transpose = (jacobian * weights[..., None]).swapaxes(1, 2)
+    return weighted_transpose @ jacobian, (weighted_transpose @ residual[..., None])[..., 0]
 
 
 def solved(matrix: Array, right: Array) -> Array:
@@ -123,8 +123,8 @@ def inverted(matrix: Array) -> Array:
 def semidefinite(matrix: Array) -> Array:
     """The nearest symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
-    mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    return mended
+    projection: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return projection
 
 
 def is_sound(covariance: Array) -> NDArray[np.bool_]:
@@ -166,7 +166,7 @@ def definite(covariance: Array, unit: Array) -> Array:
     bad[~bad] = np.linalg.eigvalsh(correlation[~bad])[:, 0] < LEAST_EIGENVALUE
     if not bad.any():
         return covariance
-    mended, unit = covariance.copy(), unit[bad, :, None] * unit[bad, None, :]
+    definite_covariance, unit = covariance.copy(), unit[bad, :, None] * unit[bad, None, :]
     nearest = semidefinite(covariance[bad] / unit)
     variance = nearest.diagonal(0, 1, 2)
     least = LEAST_EIGENVALUE * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).eps)
@@ -174,5 +174,5 @@ def definite(covariance: Array, unit: Array) -> Array:
     scale = std[:, :, None] * std[:, None, :]
     values, axes = np.linalg.eigh(nearest / scale)
     values = np.maximum(values, 2.0 * LEAST_EIGENVALUE)
-    mended[bad] = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * scale * unit
-    return 0.5 * (mended + np.swapaxes(mended, 1, 2))
+    definite_covariance[bad] = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * scale * unit
+    return 0.5 * (definite_covariance + np.swapaxes(definite_covariance, 1, 2))

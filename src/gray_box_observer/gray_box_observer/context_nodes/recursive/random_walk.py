@@ -87,22 +87,22 @@ def select_rate(
         The rate, shape (motor,), and what is believed at the end of the stretch under it.
     """
     motors = start.state.size
-    tried = (0.0, *((0.0,) if jump is not None else ()), *RATES)
-    index = np.tile(np.arange(motors), len(tried))
+    rates = (0.0, *((0.0,) if jump is not None else ()), *RATES)
+    index = np.tile(np.arange(motors), len(rates))
     jumps = np.arange(index.size) // motors == 1 if jump is not None else np.zeros(index.size, bool)
     # side by side, for every motor learns what it would learn alone
-    end, fitted = _run(
+    end, likelihoods = _run(
         white_box.of_motors(index),
         start.select(index),
         stretch.select(index),
-        replace(walk, rate=np.repeat(tried, motors)),
+        replace(walk, rate=np.repeat(rates, motors)),
         block,
         jump,
         jumps,
     )
-    rows = np.split(np.arange(index.size), len(tried))
-    ends, kept_still = [end.select(row) for row in rows], fitted.select(rows[0])
-    evidences = [kept_still.less_likely_than(fitted.select(row)) for row in rows]
+    rows = np.split(np.arange(index.size), len(rates))
+    ends, kept_still = [end.select(row) for row in rows], likelihoods.select(rows[0])
+    evidences = [kept_still.less_likely_than(likelihoods.select(row)) for row in rows]
     best, rate, most = ends[0], np.zeros(motors), np.zeros(motors)
     if jump is not None:
         most = np.maximum(most, evidences[1])
@@ -175,9 +175,9 @@ def _run(
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))
         if jump is not None and begin <= jump.at < begin + block:
             belief = belief.overwritten(belief.loosened(jump.directions), jumps)
-        predicted = block_step.predict(white_box, belief, part)
-        likelihoods.append(block_step.likelihood(belief, predicted))
+        predicted_block = block_step.predict(white_box, belief, part)
+        likelihoods.append(block_step.likelihood(belief, predicted_block))
         belief = block_step.learn(
-            white_box, belief, predicted, walk.spread(np.sum(part.interval_s, axis=1))
+            white_box, belief, predicted_block, walk.spread(np.sum(part.interval_s, axis=1))
         )
     return belief, _Fitted(*(np.array(column) for column in zip(*likelihoods, strict=True)))

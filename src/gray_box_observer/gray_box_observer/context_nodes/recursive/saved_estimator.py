@@ -87,7 +87,7 @@ def restored(
         position=received_count - plain['new'],
         is_started=np.array([plain['started']]),
         next_fit_at=np.array([plain['next_fit']]),
-        pending=np.array([plain['asked']]),
+        task_code=np.array([plain['asked']]),
         noise_count=np.array([plain['noise_count']]),
         score=np.moveaxis(arrays['drift_score'], 1, 0),
         information=np.moveaxis(arrays['drift_information'], 1, 0),
@@ -134,16 +134,16 @@ def check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) -> 
         'speed': ArrayRule((1,), -LARGEST_SIGNAL, LARGEST_SIGNAL),
     }
     check_arrays(arrays, rules)
-    remembered = arrays['replay'].shape[2]
+    remembered_count = arrays['replay'].shape[2]
     dropped_count = whole(plain, 'gone')
-    new = min(whole(plain, 'new'), remembered)
+    new = min(whole(plain, 'new'), remembered_count)
     whole(plain, 'next_fit', 1)
     whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
     whole(plain, 'noise_count')
     whole(plain, 'anchored', -MOST, -new)
-    whole(plain, 'begin', 0, dropped_count + remembered - new)
+    whole(plain, 'begin', 0, dropped_count + remembered_count - new)
     whole(plain, 'examined', -MOST, 0)
-    pending = whole(plain, 'asked', WALK_AGAIN)
-    if not flag(plain, 'started') and pending:
+    task_code = whole(plain, 'asked', WALK_AGAIN)
+    if not flag(plain, 'started') and task_code:
         raise CheckpointError('asked: a motor of which nothing is known yet cannot have changed')
     flag(plain, 'resumes')

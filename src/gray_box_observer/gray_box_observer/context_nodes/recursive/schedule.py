@@ -83,7 +83,7 @@ class UpdateSchedule:
         fit_position = self._replay.begin(motors) + state.next_fit_at[motors]
         fit_at = np.where(fits, np.maximum(fit_position, position + 1), NEVER)
         block_at = np.where(state.is_started[motors], position + self._rules.block, NEVER)
-        is_pending = state.pending[motors] != 0
+        is_pending = state.task_code[motors] != 0
         self.next_update_at[motors] = np.where(is_pending, position, np.minimum(fit_at, block_at))
         self.is_block_update[motors] = ~is_pending & (fit_at > block_at)
 
@@ -108,10 +108,12 @@ class UpdateSchedule:
         if motors.size == 0:
             return None
         motors = self._by_waiting(motors)
-        pending = state.pending[motors]
-        remembered = self._replay.remembered(motors, self.next_update_at[motors])
-        samples = np.where(pending > 0, np.minimum(pending, remembered), remembered)
-        kind = np.sign(pending)
+        task_codes = state.task_code[motors]
+        remembered_count = self._replay.remembered(motors, self.next_update_at[motors])
+        samples = np.where(
+            task_codes > 0, np.minimum(task_codes, remembered_count), remembered_count
+        )
+        kind = np.sign(task_codes)
         is_alike = (samples == samples[0]) & (kind == kind[0])
         limit = max(1, MAX_FIT_SAMPLES_PER_STEP // int(samples[0]))
         return FitTask(np.sort(motors[is_alike][:limit]), int(samples[0]), int(kind[0]))

@@ -37,17 +37,20 @@ def sensitivity(
     """
     if len(replay) < FEWEST or white_box.has_rotor:
         return None
-    changed = {
+    perturbed_models = {
         'torque_constant': replace(
             white_box, torque_constant=(1.0 + CHANGE) * white_box.torque_constant
         )
     }
     for name, value in white_box.known.items():
-        changed[name] = replace(white_box, known={**white_box.known, name: (1.0 + CHANGE) * value})
+        perturbed_models[name] = replace(
+            white_box, known={**white_box.known, name: (1.0 + CHANGE) * value}
+        )
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         nominal = _fit(white_box, replay, theta)
         ratios = {
-            name: _fit(other, replay, theta) / nominal - 1.0 for name, other in changed.items()
+            name: _fit(other, replay, theta) / nominal - 1.0
+            for name, other in perturbed_models.items()
         }
     if not all(np.all(np.isfinite(ratio)) for ratio in ratios.values()):
         return None

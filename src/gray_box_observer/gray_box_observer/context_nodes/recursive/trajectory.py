@@ -202,20 +202,20 @@ def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array
     speed, start = stretch.speed_rad_s, about[:, :-1]
     ends = speed[:, :-1], speed[:, 1:]
     motion = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
-    end, by_state, forced = motion.of_state(CURRENT)
+    end, by_state, by_coordinate = motion.of_state(CURRENT)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
     if not (
         np.abs(end) <= limit
     ).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
         end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
-        forced = np.clip(np.nan_to_num(forced), -ABSURD, ABSURD)
+        by_coordinate = np.clip(np.nan_to_num(by_coordinate), -ABSURD, ABSURD)
     decay = np.clip(by_state, -1.0, 1.0)
     offset = end - decay * start
     if stretch.restart.any():
         decay = np.where(stretch.restart, 0.0, decay)
         offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
-        forced = np.where(stretch.restart, 0.0, forced)
-    return Linearised(decay, offset, forced)
+        by_coordinate = np.where(stretch.restart, 0.0, by_coordinate)
+    return Linearised(decay, offset, by_coordinate)
 
 
 def follow(maps: Linearised, stretch: SampleWindow, start: Array, gain: Array) -> Trajectory:
@@ -254,14 +254,14 @@ def find_kicks(
     Returns:
         Shape (motor, k): whether the state at sample 1 ... k came by a kick.
     """
-    signed = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
-    limit, change = KICK * noise[:, None], np.abs(signed)
+    innovation = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
+    limit, change = KICK * noise[:, None], np.abs(innovation)
     large = (change > limit).any(axis=1, keepdims=True)
     if not large.any():
         return change > limit
     earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
     one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
-    both = np.abs(signed + path.factor * _shifted(signed, 1))
+    both = np.abs(innovation + path.factor * _shifted(innovation, 1))
     two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
     kicks: NDArray[np.bool_] = (one | two) & large
     return kicks
@@ -312,24 +312,26 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
         decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
         restart: shape (motor, k).
     """
-    compiled = interval_motion.restart_variance(decay, restart, UNKNOWN, NEGLIGIBLE, SETTLING)
-    if compiled is not None:
-        return compiled
+    compiled_variance = interval_motion.restart_variance(
+        decay, restart, UNKNOWN, NEGLIGIBLE, SETTLING
+    )
+    if compiled_variance is not None:
+        return compiled_variance
     motors, k = restart.shape
     variance = np.zeros((motors, k + 1))
     motor, at = np.nonzero(restart)
     variance[motor, at + 1] = UNKNOWN
-    remaining = np.ones(motor.size)  # after the sample that it restarts from
+    remaining_variance = np.ones(motor.size)  # after the sample that it restarts from
     for ahead in range(1, SETTLING):
         onward = at + ahead < k
         onward[onward] = ~restart[motor[onward], at[onward] + ahead]
-        onward &= remaining > NEGLIGIBLE
+        onward &= remaining_variance > NEGLIGIBLE
         if not np.any(onward):
             break
-        motor, at, remaining = motor[onward], at[onward], remaining[onward]
-        predicted = decay[motor, at + ahead] ** 2 * remaining
-        variance[motor, at + ahead + 1] = predicted
-        remaining = taken_over(predicted)
+        motor, at, remaining_variance = motor[onward], at[onward], remaining_variance[onward]
+        predicted_variance = decay[motor, at + ahead] ** 2 * remaining_variance
+        variance[motor, at + ahead + 1] = predicted_variance
+        remaining_variance = taken_over(predicted_variance)
     return variance
 
 

@@ -181,6 +181,11 @@ class RotorUpdate:
         return np.ones(1, dtype=bool)
 
     @property
+    def noise_a(self) -> float:
+        """Standard deviation of the current's noise; 0 before the first fit."""
+        return self._noise_a
+
+    @property
     def noise_std_nm(self) -> Array:
         """Standard deviation of the torque noise in N m, shape (1,); 0 before the first fit."""
         return self._white_box.output(np.array([self._noise_a]))
@@ -188,6 +193,11 @@ class RotorUpdate:
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Fits, windows that no fit was found for, and changes of the motor."""
         return dict(self._counts)
+
+    @property
+    def windows_without_fit(self) -> int:
+        """Windows that no fit was found for."""
+        return self._counts['windows without fit']
 
     def is_drifting(self, motor: int) -> bool:
         """Tell whether the motor is known to drift: this rule never asks."""
@@ -212,7 +222,9 @@ class RotorUpdate:
         std = np.sqrt(covariance.diagonal(0, 1, 2))
         parameters = self._white_box.parameters
         most = np.where(self._share > 0.0, theta * self._share + self._reach, np.inf)
-        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
+        verdicts = self.verdict_rules.judge(
+            parameters, theta, std, is_frozen=self._frozen, most=most
+        )
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
@@ -233,7 +245,7 @@ class RotorUpdate:
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
         self._place += 1
-        self._budget.grant()
+        self._budget.grant(float(sample.interval_s[0]))
 
     @property
     def is_frozen(self) -> bool:
@@ -251,10 +263,18 @@ class RotorUpdate:
         return None if self._fitting is None else (self._fitting.place, self._fitting.samples)
 
     def begin_fit(self) -> None:
-        """Begin to fit what is remembered."""
-        place = self._place
-        count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
-        self._begin(place, self.replay.newest(count)[:, 0].copy())
+        """Begin to fit what is remembered: a window, from where the one before has ended.
+
+        Where a motor is not explained, and more samples than a window's have come, it is the newest
+        ones that tell.
+        """
+        place, remembered = self._place, int(self.replay.remembered()[0])
+        mark = max(self._mark, place - remembered)
+        if self._is_settled:
+            place = min(place, mark + WINDOW)
+        count = min(place - mark, WINDOW)
+        samples = self.replay.newest(count, until=np.array([place]))
+        self._begin(place, samples[:, 0].copy())
 
     def _begin(self, place: int, samples: Array) -> None:
         self._fitting = _Fitting(place, samples, self._fit(place, samples))
@@ -376,9 +396,10 @@ class RotorUpdate:
         """Settle when the next fit is due: with half as many more, later where nothing fits."""
         in_vain = not self._is_settled and count >= AGAIN
         self._wait = min(2 * self._wait, LONGEST_WAIT) if in_vain else AGAIN
-        self._due = place + (
-            self._wait if in_vain else min(count // (4 if count < FEW else 2), AGAIN)
-        )
+        more = min(count // (4 if count < FEW else 2), AGAIN)
+        if count < WINDOW:
+            more = min(more, WINDOW - count)
+        self._due = place + (self._wait if in_vain else more)
         if place - self._mark >= WINDOW:  # nothing fits: go on with newer samples
             self._mark = place - WINDOW // 2
 
@@ -498,8 +519,9 @@ class RotorUpdate:
 
     def _resume(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Do the pieces again of a fit that was under way."""
-        check_signals('fitting', arrays.get('fitting'))
-        place = self._place + whole(plain, 'place', -MOST, 0)
+        check_signals('fitting', arrays.get('fitting'), longest=WINDOW)
+        earliest = arrays['fitting'].shape[2] - self._place
+        place = self._place + whole(plain, 'place', min(earliest, 0), 0)
         self._begin(place, arrays['fitting'][:, 0])
         assert self._fitting is not None
         with np.errstate(all='ignore'):

@@ -1,6 +1,9 @@
 """The free run of one motor with a rotor, sample after sample, with its derivatives.
 
-Compiled code (`native/whole_motor.c`) and Python give the same to rounding; both are made of
+An interval is one step where the rate is straight in the states (:mod:`straight_motion`). Else it
+is halved until a part is straight, or until few Runge-Kutta steps are enough for it: near where a
+softened sign changes, and everywhere for a motor with hysteresis. Compiled code
+(`native/whole_motor.c`) and Python give the same to rounding; both are made of
 :mod:`gray_box_observer.white_box.flow`.
 """
 
@@ -15,6 +18,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
+from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.flow import (
     Interval,
@@ -40,6 +44,20 @@ MOST_STEPS = 256
 PATIENCE, LEAST_PATIENCE = 128, 16384
 """Steps an interval, on average, and steps in all, beyond which a run is given up: such a motor is
 too fast for its samples, and a search that tries it would hold everybody up."""
+
+
+FEW_STEPS = 4
+"""Runge-Kutta steps that are taken sooner than a part is halved."""
+
+STRAIGHT_COST = 2
+"""Steps that a straight motion counts for."""
+
+FEWEST_INTERVALS = 8
+"""Of a run, from which straight motions are prepared."""
+
+MANY_STEPS, SAME_LENGTH = 16, 1e-6
+"""Runge-Kutta steps from which they are prepared anew for an interval of another length, and the
+share by which a length is another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +172,31 @@ def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Ar
     return result
 
 
+def current_response(
+    transitions: Array, gains: Array, inputs: Array, *, compiled: bool = True
+) -> Array:
+    """Return by how much further inputs move the current, shape (k + 1, input).
+
+    Args:
+        transitions: shape (k, state, state): of a run.
+        gains: shape (k, state): derivatives of every interval's end by an input over it.
+        inputs: shape (k, input).
+        compiled: whether compiled code is used where there is any.
+    """
+    count, columns = inputs.shape
+    result = np.zeros((count + 1, columns))
+    library = native.library() if compiled else None
+    if library is not None:
+        arrays = [np.ascontiguousarray(array) for array in (transitions, gains, inputs)]
+        library.whole_motor_respond(count, columns, *map(native.pointer, (*arrays, result)))
+        return result
+    state = np.zeros((STATES, columns))
+    for k, (transition, gain) in enumerate(zip(transitions, gains, strict=True)):
+        state = transition @ state + gain[:, None] * inputs[k]
+        result[k + 1] = state[State.CURRENT]
+    return result
+
+
 def _run(
     torque_constant: float,
     p: Array,
@@ -166,54 +209,116 @@ def _run(
     states, derivatives, transitions = room
     states[0] = start
     derivatives[0] = np.eye(STATES, STATES + COORDINATES)
-    motor: Any = WholeMotor(torque_constant)
-    coefficients = dict(enumerate(p.tolist()))
+    motion = _Motion(torque_constant, p, limits)
     with np.errstate(all='ignore'):
-        signals_at = zip(*(signal.tolist() for signal in signals), strict=True)
-        patience, steps = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE), 0
-        for k, (volt, length, load) in enumerate(signals_at):
-            coefficients[LOAD] = float(p[LOAD]) + load
-            motion, taken = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
-            steps += taken
-            if steps > patience:
-                return k, steps
-            if not all(abs(x) <= most for x, most in zip(motion.value, limits, strict=True)):
-                return k, steps
-            states[k + 1] = motion.value
-            transitions[k] = motion.by_state
+        if signals[1].size >= FEWEST_INTERVALS:
+            motion.prepare(float(signals[1][signals[1].size // 2]))
+        patience = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE)
+        for k, (volt, length, load) in enumerate(
+            zip(*(signal.tolist() for signal in signals), strict=True)
+        ):
+            moved = motion.over(states[k].tolist(), volt, length, float(p[LOAD]) + load)
+            if motion.steps > patience:
+                return k, motion.steps
+            if not all(abs(x) <= most for x, most in zip(moved.value, limits, strict=True)):
+                return k, motion.steps
+            states[k + 1] = moved.value
+            transitions[k] = moved.by_state
             derivatives[k + 1] = transitions[k] @ derivatives[k]
-            derivatives[k + 1, :, STATES:] += np.array(motion.by_coordinate)
-    return int(states.shape[0]) - 1, steps
+            derivatives[k + 1, :, STATES:] += np.array(moved.by_coordinate)
+    return int(states.shape[0]) - 1, motion.steps
 
 
-def _interval_moved(
-    motor: Any, coefficients: dict[int, float], start: list[float], volt: float, length: float
-) -> tuple[Linear, int]:
-    """Move one interval on, again in shorter steps where a state has passed zero.
+class _Motion:
+    """Moves one motor over intervals.
 
-    Returns:
-        The motion, and how many steps were taken.
+    Attributes:
+        steps: how many were taken.
     """
 
-    def rate_at(at: Any, speed_rad_s: Any) -> Linear:
-        return rate(_FLOATS, motor, coefficients, at, volt, speed_rad_s)
+    def __init__(self, torque_constant: float, p: Array, far: Array) -> None:
+        self._motor: Any = WholeMotor(torque_constant)
+        self._p, self._far = p, far
+        self._coefficients = dict(enumerate(p.tolist()))
+        self._straight: StraightMotion | None = None
+        self._length_s = math.nan  # that straight motions were looked for of
+        self.steps = 0
 
-    here = rate_at(start, 0.0)
-    away = _fastest(here)
-    interval = Interval(volt, 0.0, 0.0, length)  # type: ignore[arg-type]
-    motion, taken = _in_steps(rate_at, start, here, interval, away)
-    passes = [
-        abs(x) <= length * abs(slope) or x * end <= 0.0
-        for x, slope, end in zip(start, here.value, motion.value, strict=True)
-    ]
-    if not any(passes):
-        return motion, taken
-    at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
-    steepest = _fastest(rate_at(at, 0.0))
-    if not steepest > away:
-        return motion, taken
-    motion, again = _in_steps(rate_at, start, here, interval, steepest)
-    return motion, taken + again
+    def prepare(self, length_s: float) -> None:
+        """Look for straight motions over an interval."""
+        self._length_s = length_s
+        self._straight = StraightMotion.of_motor(self._rate_at(0.0), self._p, self._far, length_s)
+
+    def over(self, start: list[float], volt: float, length_s: float, load_rad_s2: float) -> Linear:
+        """Move one interval on."""
+        self._coefficients[LOAD] = load_rad_s2
+        return self._part(start, volt, length_s, 0, self._straight_over(start, volt, length_s))
+
+    def _straight_over(
+        self, start: list[float], volt: float, length_s: float
+    ) -> StraightMotion | None:
+        """Return straight motions over an interval, where there are any or it is worth it."""
+        if math.isnan(self._length_s):
+            return None
+        if abs(length_s - self._length_s) > SAME_LENGTH * self._length_s:
+            if not _fastest(self._rate_at(volt)(start)) * length_s > MANY_STEPS * LARGEST_STEP:
+                return None
+            self.prepare(length_s)
+        return self._straight
+
+    def _rate_at(self, volt: float) -> Any:
+        def rate_at(at: Any, speed_rad_s: Any = 0.0) -> Linear:
+            return rate(_FLOATS, self._motor, self._coefficients, at, volt, speed_rad_s)
+
+        return rate_at
+
+    def _part(
+        self,
+        start: list[float],
+        volt: float,
+        length_s: float,
+        level: int,
+        straight: StraightMotion | None,
+    ) -> Linear:
+        """Move on by a part of an interval, in shorter steps where a state passes zero."""
+        rate_at = self._rate_at(volt)
+        here = rate_at(start)
+        moved = None if straight is None else straight.moved(rate_at, start, here, level)
+        if moved is not None:
+            self.steps += STRAIGHT_COST
+            return moved
+        may_halve, few = straight is not None and level < HALVINGS, FEW_STEPS * LARGEST_STEP
+        away = _fastest(here)
+        interval = Interval(volt, 0.0, 0.0, length_s)  # type: ignore[arg-type]
+        if not may_halve or away * length_s <= few:
+            moved, taken = _in_steps(rate_at, start, here, interval, away)
+            self.steps += taken
+            steepest = self._steepest(rate_at, start, here, moved, length_s)
+            if not steepest > away:
+                return moved
+            away = steepest
+            if not may_halve or away * length_s <= few:
+                moved, taken = _in_steps(rate_at, start, here, interval, away)
+                self.steps += taken
+                return moved
+        half = 0.5 * length_s
+        first = self._part(start, volt, half, level + 1, straight)
+        then = self._part([*first.value], volt, half, level + 1, straight)
+        return joined(first, then)
+
+    @staticmethod
+    def _steepest(
+        rate_at: Any, start: list[float], here: Linear, moved: Linear, length_s: float
+    ) -> float:
+        """Return the fastest rate where states are zero that pass it on the way; 0: none does."""
+        passes = [
+            abs(x) <= length_s * abs(slope) or x * end <= 0.0
+            for x, slope, end in zip(start, here.value, moved.value, strict=True)
+        ]
+        if not any(passes):
+            return 0.0
+        at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
+        return _fastest(rate_at(at))
 
 
 def _in_steps(

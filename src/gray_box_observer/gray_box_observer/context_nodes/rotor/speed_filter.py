@@ -141,7 +141,7 @@ class SpeedFilter:
 
     def _look_up(self, theta: Array) -> None:
         """Work out what follows from the parameters, where they have changed."""
-        if self._values is not None and np.array_equal(theta, self._values):
+        if self._values is not None and (theta == self._values).all():
             return
         self._values = theta.copy()
         box = self._white_box

@@ -59,6 +59,9 @@ PROMISING = 3
 SHORT = 512
 """Samples of a first fit from a start that is not trusted."""
 
+LEAST_START_GAIN = 1.0
+"""Of chi-square, from which first states are moved by themselves before all else is."""
+
 RESOLVED = 2.0
 """Sample intervals in L/R up to which the current's rise has several explanations."""
 
@@ -67,6 +70,10 @@ OTHERS = (0.2, 0.45, 3.0)
 
 RIVAL = 9.0
 """Difference of chi-square up to which another optimum is as likely as not."""
+
+STUCK = 2.0
+"""Gain of chi-square that the equations promise, and no step brings, from which a search has ended
+before a kink: where a rotor turns or is held, a sample can stand in the way."""
 
 DISTINCT = 1.0
 """Standard deviations from which two ends of a search are two."""
@@ -159,12 +166,26 @@ def fit_window(
             ends.append(end)
     if not ends:
         return None
+    yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
     if tries_others:
         yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
     noise = min(end.fit.noise_a for end in ends)
     fits = [end.fit for end in ends]
     fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
     return _with_rivals(fits, prior)
+
+
+def _leap(best: _End, ends: list[_End]) -> Pieces[None]:
+    """Search again from beyond what a search has stopped at, where it was to go on."""
+    found = best.search
+    if found.promised_gain < STUCK:
+        return
+    search = _Search(found.white_box, found.window, found.prior, found.beyond)
+    yield from search.settle()
+    if search.is_valid:
+        end = yield from search.run(ends)
+        if end is not None:
+            ends.append(end)
 
 
 def _try_others(best: _End, ends: list[_End]) -> Pieces[None]:
@@ -260,7 +281,7 @@ class _Accuracy:
     gain: float
 
 
-ROUGHLY, NEARLY = _Accuracy(0.1, 0.1), _Accuracy(3e-3, 1e-2)
+ROUGHLY, NEARLY = _Accuracy(0.3, 0.3), _Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 
@@ -302,6 +323,8 @@ class _Search:
     Attributes:
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
+        promised_gain: of chi-square by the last step that was tried, if all were straight.
+        beyond: shape (parameter,): where that leads.
     """
 
     def __init__(
@@ -316,6 +339,7 @@ class _Search:
             LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
         )
         self.logarithms = np.clip(logarithms, self._lower, self._upper)
+        self.promised_gain, self.beyond = 0.0, self.logarithms
         self._leaves_out = False
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
@@ -366,7 +390,12 @@ class _Search:
         for _ in range(2):
             scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
-            starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
+            steps = equations.start_steps(np.zeros(self.logarithms.size))
+            moved = zip(self._at.by_start, steps, strict=True)
+            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in moved) / scale**2
+            if gain < LEAST_START_GAIN:
+                return
+            starts = self.starts + steps
             runs = yield from self._run(self.logarithms, starts)
             if runs is None or self._scale(runs.residual_a) > scale:
                 return
@@ -436,7 +465,9 @@ class _Search:
                 return True
             precision = equations.information + self.prior.precision
             right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
-            left = float(right @ np.linalg.lstsq(precision, right, rcond=1e-12)[0])
+            step = np.linalg.lstsq(precision, right, rcond=1e-12)[0]
+            self.promised_gain = left = float(right @ step)
+            self.beyond = self.logarithms + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
             if left < accuracy.distance**2 * right.size:
                 return False
             before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)

@@ -115,9 +115,9 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     for result in results:
         if result.error not in (None, _INTERRUPTED):
             _say(_bag_label(result))
-    warned = sum(bool(result.warnings) for result in results)
-    if warned:
-        _say(f'warning: {warned} bags have warnings; --table and --json say which')
+    warned_count = sum(bool(result.warnings) for result in results)
+    if warned_count:
+        _say(f'warning: {warned_count} bags have warnings; --table and --json say which')
     motors, digest = gather(results), digest_of(results)
     if options.table is not None:
         write_table(results, options.table)
@@ -162,9 +162,9 @@ def _history(
         if len(motors) != 1
         else f'Trends of {motors[0].name}',
         source=places,
-        created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        creation_time=datetime.now(timezone.utc).isoformat(timespec='seconds'),
         motors=motors,
-        failed=failures,
+        failures=failures,
         summary={
             'bags': len(results),
             'without result': len(failures),

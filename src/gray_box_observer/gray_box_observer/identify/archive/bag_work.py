@@ -63,19 +63,19 @@ class BagWork:
     observer's, as where a bag is identified alone.
 
     Attributes:
-        given: parameters by their dotted names, as the parameter file gives them.
+        parameter_values: parameters by their dotted names, as the parameter file gives them.
         training: makes the predictor's trainer; None: no predictor.
         limits: how much of a bag may be held in memory at one time.
     """
 
-    given: Mapping[str, Any]
+    parameter_values: Mapping[str, Any]
     training: TrainingFactory | None = None
     limits: ReadLimits = field(default_factory=ReadLimits)
 
     def __call__(self, bag: Path) -> BagResult:
         """Identify one bag; never raises what a bag or a defect of this package can cause."""
         try:
-            configuration = configure(self.given, carried_by([bag]), 'the bag')
+            configuration = configure(self.parameter_values, carried_by([bag]), 'the bag')
             outcome = offline_run.run([bag], configuration, self.training, limits=self.limits)
             description = describe(outcome)
         except GrayBoxError as error:

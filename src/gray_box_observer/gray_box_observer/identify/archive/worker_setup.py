@@ -21,7 +21,7 @@ def starting() -> Iterator[None]:
     """Give processes started in this block `ENVIRONMENT`, and make them ignore Ctrl-C."""
     resource_tracker.ensure_running()  # it would unblock the signal when it starts
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     os.environ.update(ENVIRONMENT)
     try:
         yield
@@ -31,7 +31,7 @@ def starting() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 def set_up() -> None:

@@ -167,11 +167,11 @@ class WindowTrainer:
         columns = self._layout.columns(
             self._normalisation, signals['voltage_v'], signals['speed_rad_s'], theta
         )
-        shaped = [
+        full_columns = [
             c if c.ndim == 2 else np.repeat(c[:, None], self._rules.length, axis=1) for c in columns
         ]
         single = self._network.single
-        inputs = single(np.stack(shaped, axis=-1))
+        inputs = single(np.stack(full_columns, axis=-1))
         windows = Windows(
             **{name: single(value) for name, value in signals.items()}, theta=single(theta)
         )

@@ -74,7 +74,7 @@ class OnlineTraining:
         self._settled_states: dict[int, tuple[Array, OperatingRange]] = {}
         self._turn = 0
         self._job: dict[str, Any] = {}
-        self._learning: dict[str, Array] = {}
+        self._trainer_state: dict[str, Array] = {}
 
     def update(
         self,
@@ -162,7 +162,7 @@ class OnlineTraining:
         return {
             **common,
             **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
-            **self._learning,
+            **self._trainer_state,
             **{
                 f'job_{name}': np.asarray(value)
                 for name, value in self._job.items()
@@ -196,12 +196,12 @@ class OnlineTraining:
             self._schedule.restore(
                 {name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')}
             )
-        self._learning = {
+        self._trainer_state = {
             name: array for name, array in arrays.items() if name.startswith('learning_')
         }
         self._start_from = {
             **self._network.start(),
-            **{f'start_{name}': array for name, array in self._learning.items()},
+            **{f'start_{name}': array for name, array in self._trainer_state.items()},
         }
         job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
         if job:
@@ -260,11 +260,11 @@ class OnlineTraining:
             self._nothing_to_gain(turn, theta[motor_slice], covariance[motor_slice])
             and not residual
         )
-        remembered = int(self.replay.remembered(motor_slice)[0])
-        if self._training.resting or idle or remembered < self._rules.length:
+        remembered_count = int(self.replay.remembered(motor_slice)[0])
+        if self._training.is_resting or idle or remembered_count < self._rules.length:
             return
         anew = residual and self._schedule.anew
-        count = min(remembered, self._rules.job_samples)
+        count = min(remembered_count, self._rules.job_samples)
         samples = (
             self._schedule.job(self.replay) if residual else newest(self.replay, count, motor_slice)
         )
@@ -304,9 +304,9 @@ class OnlineTraining:
         if (
             'input' in result and not Weights.from_arrays(result).finite
         ):  # the trainer begins anew from the network that runs
-            self._learning, self._start_from = {}, self._network.start()
+            self._trainer_state, self._start_from = {}, self._network.start()
             return
-        self._learning = {
+        self._trainer_state = {
             name: array for name, array in result.items() if name.startswith('learning_')
         }
         self._settled_states.pop(motor, None)

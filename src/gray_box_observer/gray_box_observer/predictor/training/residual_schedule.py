@@ -60,7 +60,7 @@ class ResidualSchedule:
         self._learns = rules.residual and rules.variant is Variant.PHYSICS and motors == 1
         self._capacity = rules.replay_capacity
         self._theta = np.zeros((0, 0))
-        self._asked = self._from = 0
+        self._last_round = self._from = 0
         self.anew = True
         self._store = SegmentStore(rules.segments)
         self._starts = np.full((max(1, self._capacity // SEGMENT), motors), np.nan)
@@ -98,7 +98,7 @@ class ResidualSchedule:
 
     def begin_anew(self, number: int) -> None:
         """Forget everything before the sample of this number."""
-        self._asked = self._from = number
+        self._last_round = self._from = number
         self._starts[:] = np.nan
         self._store.forget()
         self.anew = True
@@ -106,11 +106,11 @@ class ResidualSchedule:
     def is_due(self, replay: ReplayBuffer) -> bool:
         """Whether there is so much more to learn from that it is worth a round."""
         samples = min(len(replay), replay.total - self._from)
-        return self._learns and replay.total - self._asked >= max(PERIOD, samples // 3)
+        return self._learns and replay.total - self._last_round >= max(PERIOD, samples // 3)
 
     def job(self, replay: ReplayBuffer) -> dict[str, Any]:
         """Return a round's samples: segments, then newest samples outside all segments."""
-        self._asked, self.anew = replay.total, False
+        self._last_round, self.anew = replay.total, False
         parts, end = [], min(0, self._from)  # more may have been paired anew than had been counted
         for segment in self._store.segments:
             joins = (
@@ -124,7 +124,7 @@ class ResidualSchedule:
 
     def state(self) -> dict[str, Array]:
         """Everything, as arrays."""
-        plain = {'asked': self._asked, 'from': self._from, 'anew': self.anew}
+        plain = {'asked': self._last_round, 'from': self._from, 'anew': self.anew}
         arrays = {'theta': self._theta, 'starts': self._starts, **self._store.state()}
         return {**{name: np.array(value) for name, value in plain.items()}, **arrays}
 
@@ -144,7 +144,7 @@ class ResidualSchedule:
         check_arrays(arrays, rules)
         if not len(arrays['starts']):
             raise CheckpointError('starts is empty')
-        self._asked, self._from, self.anew = (
+        self._last_round, self._from, self.anew = (
             int(arrays['asked']),
             int(arrays['from']),
             bool(arrays['anew']),

@@ -172,8 +172,10 @@ class ResidualTrainer:
             output_bias=np.zeros_like(weights.output_bias),
         )
         linear_alone = replace(taught_model, weights=silent)
-        judged = [_judge(candidate, run) for candidate in (linear_alone, taught_model, *self._best)]
-        self._best = [min(judged, key=lambda pair: pair[1])[0]]
+        judgements = [
+            _judge(candidate, run) for candidate in (linear_alone, taught_model, *self._best)
+        ]
+        self._best = [min(judgements, key=lambda pair: pair[1])[0]]
         return self._best[0].arrays()
 
     def state(self) -> dict[str, Array]:
@@ -278,11 +280,11 @@ def worth_learning(residual: Array, predicted_a: Array) -> bool:
     """
     if np.all(residual.std(axis=1) < SMALL * predicted_a.std(axis=1)):
         return False
-    centred = residual - residual.mean(axis=1, keepdims=True)
-    n, power = residual.shape[1], np.sum(centred**2, axis=1)
+    deviation = residual - residual.mean(axis=1, keepdims=True)
+    n, power = residual.shape[1], np.sum(deviation**2, axis=1)
     statistic = np.zeros(residual.shape[0])
     for lag in range(1, LAGS + 1):
-        correlation = np.sum(centred[:, lag:] * centred[:, :-lag], axis=1) / np.maximum(
+        correlation = np.sum(deviation[:, lag:] * deviation[:, :-lag], axis=1) / np.maximum(
             power, 1e-300
         )
         statistic += n * (n + 2.0) * correlation**2 / (n - lag)
@@ -309,8 +311,8 @@ def _against_physics(
     """Put histories in a row, with what the physics says of them; None where it says nothing."""
     parts = []
     for history in histories:
-        said = physics(history)
-        if said is None:
+        physics_run = physics(history)
+        if physics_run is None:
             continue
         sequences, current_a, number = history.sequences, history.current_a, history.number
         anew = number == number[0]
@@ -319,11 +321,11 @@ def _against_physics(
         signals = (
             sequences.interval_s,
             sequences.voltage_v,
-            said.speed_rad_s,
+            physics_run.speed_rad_s,
             current_a,
-            said.predicted_a,
-            said.steady_a,
-            current_a - said.predicted_a,
+            physics_run.predicted_a,
+            physics_run.steady_a,
+            current_a - physics_run.predicted_a,
         )
         parts.append((number, anew, cut, is_warm, *signals))
     if not parts:

@@ -134,7 +134,7 @@ def draw_around(
         speed = ends[0] + (ends[1] - ends[0]) * np.linspace(0.0, 1.0, length)
     own = white_box.of_motors(motor)
     way = course(np, own, list(parameters.T), voltage_v[:, 0], speed[:, 0], np.zeros(count))
-    interval_s = _intervals(random, way.settling, range_seen.interval_s, horizon_s, length)
+    interval_s = _intervals(random, way.decay_rate, range_seen.interval_s, horizon_s, length)
     start_a = _somewhere(random, own, parameters, speed, low_v, top_v)
     return Sequences(own, parameters, voltage_v, interval_s, speed, start_a)
 
@@ -151,15 +151,15 @@ def _log_uniform(
 
 def _intervals(
     random: np.random.Generator,
-    settling: Array,
+    decay_rate: Array,
     seen_s: tuple[float, float],
     horizon_s: float,
     length: int,
 ) -> Array:
     """Half like those seen, equally uneven; half of any length up to the longest forecast."""
-    count = settling.size
+    count = decay_rate.size
     shortest, longest = seen_s
-    constant_s = np.minimum(1.0 / np.maximum(settling, 1e-12), 1e4 * longest)
+    constant_s = np.minimum(1.0 / np.maximum(decay_rate, 1e-12), 1e4 * longest)
     farthest = np.maximum(longest, np.maximum(horizon_s, FAR * constant_s))
     typical = _log_uniform(random, 0.5 * shortest, 2.0 * longest, count)
     far = random.random(count) < 0.5

@@ -32,7 +32,7 @@ class Training(Protocol):
         """Whether a job runs whose result has not been collected."""
 
     @property
-    def resting(self) -> bool:
+    def is_resting(self) -> bool:
         """Whether the training's share of a core is used up, so that no job should be submitted."""
 
     @property
@@ -46,7 +46,7 @@ class Training(Protocol):
 class InlineTraining:
     """Trains while the caller waits: for the offline command, where there is nothing else to do."""
 
-    resting = False
+    is_resting = False
 
     def __init__(self, configuration: dict[str, Any]) -> None:
         try:
@@ -125,7 +125,7 @@ class ProcessTraining:
         return result
 
     @property
-    def resting(self) -> bool:
+    def is_resting(self) -> bool:
         """Whether the child still has to make up for the time that its last job took."""
         return time.monotonic() < self._rest_until_s
 

@@ -40,7 +40,7 @@ class _Course:
     )
     estimates: list[tuple[float, Estimate]] = field(default_factory=list)
     alarms_s: list[float] = field(default_factory=list)
-    alarmed: bool = False
+    has_alarm: bool = False
 
 
 class Collector:
@@ -78,9 +78,9 @@ class Collector:
         )
         if result.estimate is not None:
             course.estimates.append((time_s, result.estimate))
-        if result.alarm and not course.alarmed:
+        if result.alarm and not course.has_alarm:
             course.alarms_s.append(time_s)
-        course.alarmed = result.alarm
+        course.has_alarm = result.alarm
 
     def histories(
         self,
@@ -132,7 +132,7 @@ class Collector:
             white_box_torque_nm=columns[4],
             parameters=self._parameters(name, course, motor.estimate),
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
-            rejected=dict(rejections),
+            rejection_counts=dict(rejections),
             scores={
                 key: float(v) for key, v in scores.items() if v is not None and key != 'samples'
             },
@@ -141,7 +141,7 @@ class Collector:
             current_a=np.asarray(motor.white_box.state(columns[2])),
             free_run_torque_nm=run_nm,
             changes_s=found_s,
-            derived=_derived(motor),
+            derived_figures=_derived(motor),
             fit=_fit(motor, columns[2], run_nm),
         )
 
@@ -172,8 +172,8 @@ class Collector:
 
 def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
     """Return whether the white box explains the data, with the newest residual correlation."""
-    correlated = autocorrelation(torque_nm - run_nm)
-    lag_values, band = (None, 0.0) if correlated is None else correlated
+    correlation = autocorrelation(torque_nm - run_nm)
+    lag_values, band = (None, 0.0) if correlation is None else correlation
     return FitHistory(
         motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), lag_values, band
     )
@@ -183,8 +183,8 @@ def _on_axis(
     covered_s: Sequence[float], interval_s: FloatArray, time_s: FloatArray
 ) -> tuple[float, ...]:
     """Return the position on the report's axis of what happened at a covered time."""
-    covered = np.cumsum(interval_s)
-    at = np.minimum(np.searchsorted(covered, covered_s), len(time_s) - 1)
+    elapsed_s = np.cumsum(interval_s)
+    at = np.minimum(np.searchsorted(elapsed_s, covered_s), len(time_s) - 1)
     return tuple(float(time_s[place]) for place in at)
 
 
@@ -253,15 +253,15 @@ def notes(name: str, observer: Observer) -> list[str]:
         )
         sentences.append(f'{constant_text} is taken as known: its error goes into the estimates.')
     sentences.append(f'Speed from {motor.white_box.speed_source}: {motor.speed_reason}.')
-    assumed = assumptions(motor.configuration, motor.white_box)
-    sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumed.values()]
+    assumption_texts = assumptions(motor.configuration, motor.white_box)
+    sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumption_texts.values()]
     delay = motor.delay
     complaint = delay.complaint(name)
     if complaint is not None:
         sentences.append(
             f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.'
         )
-    elif delay.asked:
+    elif delay.is_estimated:
         delay_text = (
             'the data do not tell it'
             if math.isnan(delay.value_s)

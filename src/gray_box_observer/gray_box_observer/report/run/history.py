@@ -118,7 +118,7 @@ class MotorHistory:
         white_box_torque_nm: torque of the white box alone; NaN where none.
         parameters: one history per context node.
         speed_rad_s: measured shaft speed, None where there is none.
-        rejected: how many samples were rejected, by reason.
+        rejection_counts: how many samples were rejected, by reason.
         rejected_time_s: when they were rejected, by reason, for as many as are known.
         scores: scores of the predictor by name (`nmae`, `skill_vs_persistence`,
             `skill_vs_white_box`).
@@ -129,7 +129,7 @@ class MotorHistory:
         free_run_torque_nm: torque of the white box run freely at the final values; None where there
             is none.
         changes_s: when the motor was found changed.
-        derived: constants that follow from the parameters at the end.
+        derived_figures: constants that follow from the parameters at the end.
         fit: whether the white box explains the data.
         validation: figures on a bag that taught nothing, as the JSON holds them; None where there
             was none.
@@ -146,7 +146,7 @@ class MotorHistory:
     white_box_torque_nm: FloatArray
     parameters: tuple[ParameterHistory, ...]
     speed_rad_s: FloatArray | None = None
-    rejected: Mapping[str, int] = field(default_factory=dict)
+    rejection_counts: Mapping[str, int] = field(default_factory=dict)
     rejected_time_s: Mapping[str, FloatArray] = field(default_factory=dict)
     scores: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -154,7 +154,7 @@ class MotorHistory:
     current_a: FloatArray | None = None
     free_run_torque_nm: FloatArray | None = None
     changes_s: tuple[float, ...] = ()
-    derived: tuple[DerivedFigure, ...] = ()
+    derived_figures: tuple[DerivedFigure, ...] = ()
     fit: FitHistory = FitHistory()
     validation: Mapping[str, Any] | None = None
 
@@ -190,8 +190,8 @@ class RunHistory:
     Attributes:
         title: headline of the report.
         source: names of the bags, or of the topics.
-        created: when the report was made, ISO 8601; the caller's, so that the same run gives the
-            same page.
+        creation_time: when the report was made, ISO 8601; the caller's, so that the same run gives
+            the same page.
         motors: one history per motor.
         summary: facts of the run; a key's unit suffix (`duration_s`) is shown as the unit.
         command: the command that makes this report again.
@@ -201,7 +201,7 @@ class RunHistory:
 
     title: str
     source: Sequence[str]
-    created: str
+    creation_time: str
     motors: tuple[MotorHistory, ...]
     summary: Mapping[str, str | float | int] = field(default_factory=dict)
     command: str = ''

@@ -107,7 +107,7 @@ def assembled(
     return Template(_resource('page.html')).substitute(
         title=escape(history.title),
         source=', '.join(escape(name) for name in history.source) or 'not named',
-        created=escape(history.created),
+        created=escape(history.creation_time),
         facts=sections.facts(history.summary),
         contents=sections.contents([motor.name for motor in history.motors]),
         headline=headline,
@@ -154,7 +154,11 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     if residual is not None:
         figures[f'motor-{index}-residual'] = residual
         frame = framed(
-            f'motor-{index}-residual', residual, 'residual of the free run', motor.name, timed=False
+            f'motor-{index}-residual',
+            residual,
+            'residual of the free run',
+            motor.name,
+            has_time_axis=False,
         )
         parts.append('<h3>Does the white box explain the data?</h3>' + frame)
     parts.append(sections.validation_table(motor.validation))
@@ -164,24 +168,24 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     parts.append('<h3>Rejected samples</h3>')
     rejections = rejection_figure(motor)
     if rejections is None:
-        checks = ', '.join(sections.words(reason) for reason in motor.rejected)
+        checks = ', '.join(sections.words(reason) for reason in motor.rejection_counts)
         checks_note = f' Checked: {checks}.' if checks else ''
         parts.append(f'<p class="empty">No sample was rejected.{checks_note}</p>')
     else:
         parts.append(figure('rejected', rejections, 'by reason, and when'))
-    parts.append(sections.derived_table(motor.derived))
+    parts.append(sections.derived_table(motor.derived_figures))
     parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
     return ''.join(parts) + '</section>'
 
 
-def framed(key: str, drawing: Figure, title: str, motor: str, *, timed: bool = True) -> str:
+def framed(key: str, drawing: Figure, title: str, motor: str, *, has_time_axis: bool = True) -> str:
     """Return the frame for a motor's figure, drawn by script; `title` is HTML, `motor` is not.
 
-    A figure that is not `timed` does not share the motor's time axis.
+    A figure that is not `has_time_axis` does not share the motor's time axis.
     """
     note = f'<p class="caption">{escape(drawing.caption)}</p>' if drawing.caption else ''
     label = f'{title} of {escape(motor)}'
-    style = 'drawing' if timed else 'drawing apart'
+    style = 'drawing' if has_time_axis else 'drawing apart'
     return (
         f'<figure><figcaption><h4>{title}</h4><div class="views" '
         f'data-for="{key}"></div></figcaption>'

@@ -27,7 +27,9 @@ def rejection_figure(motor: MotorHistory) -> Figure | None:
         None where nothing was rejected.
     """
     reasons = [
-        reason for reason in {**motor.rejected, **motor.rejected_time_s} if _count(motor, reason)
+        reason
+        for reason in {**motor.rejection_counts, **motor.rejected_time_s}
+        if _count(motor, reason)
     ]
     if not reasons:
         return None
@@ -79,12 +81,18 @@ def rejection_figure(motor: MotorHistory) -> Figure | None:
     layout['yaxis'] = axis(
         type='category', categoryarray=labels, automargin=True, ticks='', anchor='x2'
     )
-    untimed = sum(_count(motor, reason) for reason in reasons) - sum(
+    untimed_count = sum(_count(motor, reason) for reason in reasons) - sum(
         every for _, every in drawn_counts.values()
     )
-    caption = f'{untimed:,} rejected samples have no time and no mark. ' if untimed > 0 else ''
+    caption = (
+        f'{untimed_count:,} rejected samples have no time and no mark. '
+        if untimed_count > 0
+        else ''
+    )
     return Figure([bars, marks], layout, [], (caption + thinning_note(drawn_counts)).strip())
 
 
 def _count(motor: MotorHistory, reason: str) -> int:
-    return max(int(motor.rejected.get(reason, 0)), len(motor.rejected_time_s.get(reason, ())))
+    return max(
+        int(motor.rejection_counts.get(reason, 0)), len(motor.rejected_time_s.get(reason, ()))
+    )

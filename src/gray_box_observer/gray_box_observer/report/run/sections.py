@@ -228,12 +228,12 @@ def scores_table(scores: Mapping[str, float]) -> str:
     return f'<table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
 
 
-def derived_table(derived: Sequence[DerivedFigure]) -> str:
+def derived_table(figures: Sequence[DerivedFigure]) -> str:
     """Return the constants that follow from the parameters; nothing where there are none."""
-    if not derived:
+    if not figures:
         return ''
     rows = []
-    for one in derived:
+    for one in figures:
         scale = scale_for(one.value, one.unit)
         value, std = value_and_std(one.value, one.std, scale)
         spread = 'not known' if std is None else std
@@ -271,15 +271,14 @@ def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> 
 def _sensitivity_cell(change: float) -> str:
     """Return one cell of the table, marked where the estimate leans strongly on the constant."""
     strong = ' strong' if abs(change) > STRONG else ''
-    return (
-        f'<td class="number{strong}">{percent(_unless_rounding(change / 100.0), signed=True)}</td>'
-    )
+    text = percent(_unless_rounding(change / 100.0), has_sign=True)
+    return f'<td class="number{strong}">{text}</td>'
 
 
 def _strongest(sensitivity: Mapping[str, Mapping[str, float]]) -> str:
     """Name the constants on which estimates lean strongly; nothing where there is none."""
     warnings = [
-        f'{words(name)} moves by {percent(change / 100.0, signed=True)} with 1 % more of '
+        f'{words(name)} moves by {percent(change / 100.0, has_sign=True)} with 1 % more of '
         f'{words(constant)}'
         for constant, changes in sensitivity.items()
         for name, change in changes.items()
@@ -367,7 +366,7 @@ def footer(history: RunHistory | ArchiveHistory, versions: Mapping[str, str]) ->
 
 def _error(value: float, std: float, truth: float) -> str:
     error = value - truth
-    text = percent(error / abs(truth), signed=True) if truth != 0.0 else significant(error, 2)
+    text = percent(error / abs(truth), has_sign=True) if truth != 0.0 else significant(error, 2)
     if math.isfinite(std) and std > 0.0 and math.isfinite(error):
         text += f' <span class="sigma">({significant(abs(error) / std, 2)} {SIGMA})</span>'
     return text

@@ -142,9 +142,9 @@ class ArchiveHistory:
     Attributes:
         title: headline of the report.
         source: names of the places where the bags lie.
-        created: when the report was made, ISO 8601.
+        creation_time: when the report was made, ISO 8601.
         motors: one trend a motor.
-        failed: why a bag gave nothing, by bag.
+        failures: why a bag gave nothing, by bag.
         summary: facts of the archive; a key's unit suffix (``duration_s``) is shown as the unit.
         command: the command that makes this report again.
         digest: hexadecimal SHA-256 over the digests of the bags in order.
@@ -152,9 +152,9 @@ class ArchiveHistory:
 
     title: str
     source: Sequence[str]
-    created: str
+    creation_time: str
     motors: tuple[MotorTrend, ...]
-    failed: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, str] = field(default_factory=dict)
     summary: Mapping[str, str | float | int] = field(default_factory=dict)
     command: str = ''
     digest: str = ''

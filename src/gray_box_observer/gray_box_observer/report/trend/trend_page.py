@@ -54,7 +54,7 @@ def drift_words(drift: Drift | None) -> str:
         return 'not known'
     share, std = drift.per_s / abs(drift.mean), drift.per_s_std / abs(drift.mean)
     per_s, unit = (MONTH_S, 'in 30 days') if abs(share) * DAY_S < 0.1 else (DAY_S, 'a day')
-    return f'{percent(share * per_s, signed=True)} ± {percent(std * per_s)} {unit}'
+    return f'{percent(share * per_s, has_sign=True)} ± {percent(std * per_s)} {unit}'
 
 
 def _headline(history: ArchiveHistory) -> str:
@@ -101,10 +101,10 @@ def _motor(index: int, motor: MotorTrend, figures: dict[str, Figure]) -> str:
 
 def _failure_table(history: ArchiveHistory) -> str:
     """Return the bags that gave nothing, with the reason."""
-    if not history.failed:
+    if not history.failures:
         return ''
-    failures = list(history.failed.items())[:_MOST_FAILED]
-    remaining_count = len(history.failed) - len(failures)
+    failures = list(history.failures.items())[:_MOST_FAILED]
+    remaining_count = len(history.failures) - len(failures)
     rows = ''.join(
         f'<tr><th scope="row">{escape(bag)}</th><td>{escape(why)}</td></tr>'
         for bag, why in failures

@@ -32,12 +32,12 @@ def to_mapping(profile: QoSProfile) -> dict[str, Any]:
     }
 
 
-def subscription_profile(offered: Iterable[QoSProfile], depth: int) -> QoSProfile:
+def subscription_profile(publisher_profiles: Iterable[QoSProfile], depth: int) -> QoSProfile:
     """The strictest request that every one of the publishers satisfies."""
-    profiles = list(offered)
+    profiles = list(publisher_profiles)
     reliable = all(profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
-    return _profile(depth, reliable=reliable, latched=latched and bool(profiles))
+    is_latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+    return _profile(depth, reliable=reliable, is_latched=is_latched and bool(profiles))
 
 
 def publisher_profile(recorded_profiles: Sequence[Mapping[str, Any]], depth: int) -> QoSProfile:
@@ -48,10 +48,10 @@ def publisher_profile(recorded_profiles: Sequence[Mapping[str, Any]], depth: int
         depth: How many messages are kept for slow readers.
     """
     reliable = all(str(p.get('reliability')) not in ('best_effort', '2') for p in recorded_profiles)
-    latched = bool(recorded_profiles) and all(
+    is_latched = bool(recorded_profiles) and all(
         str(p.get('durability')) in ('transient_local', '1') for p in recorded_profiles
     )
-    return _profile(depth, reliable=reliable, latched=latched)
+    return _profile(depth, reliable=reliable, is_latched=is_latched)
 
 
 def needs_weaker(current: QoSProfile, target: QoSProfile) -> bool:
@@ -62,12 +62,12 @@ def needs_weaker(current: QoSProfile, target: QoSProfile) -> bool:
     )
 
 
-def _profile(depth: int, *, reliable: bool, latched: bool) -> QoSProfile:
+def _profile(depth: int, *, reliable: bool, is_latched: bool) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
     )
 
 

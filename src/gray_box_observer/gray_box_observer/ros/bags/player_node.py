@@ -82,7 +82,8 @@ class BagPlayer(Node):
     Args:
         stop: Ends the node, at the end of the bag or with an error.
         bag: Path of the bag; empty for the parameter ``bag``.
-        preceding: What the command line says, by the names of the parameters that it precedes.
+        priority_values: What the command line says, by the names of the parameters that it
+            precedes.
 
     Raises:
         BagError: The bag cannot be read or has none of the wanted topics.
@@ -90,12 +91,12 @@ class BagPlayer(Node):
     """
 
     def __init__(
-        self, stop: Stop, bag: str = '', preceding: Mapping[str, Any] | None = None
+        self, stop: Stop, bag: str = '', priority_values: Mapping[str, Any] | None = None
     ) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
         self._is_closing = False
-        values = declare(self, PLAYER_PARAMETERS, preceding)
+        values = declare(self, PLAYER_PARAMETERS, priority_values)
         path, is_paused = values['bag'], values['paused']
         topics = [name for name in values['topics'] if name]
         self._plan = _Plan(**{field.name: values[field.name] for field in fields(_Plan)})
@@ -234,13 +235,14 @@ class BagPlayer(Node):
             self.resolve_topic_name(t.name, only_expand=True)
             for t in (observed.VOLTAGE, observed.TORQUE)
         }
-        watched = [p for name, p in self._publishers_by_topic.items() if name in signals]
-        enough = any if is_own_wait and not watched else all
-        watched = watched or list(self._publishers_by_topic.values())
+        awaited_publishers = [p for name, p in self._publishers_by_topic.items() if name in signals]
+        enough = any if is_own_wait and not awaited_publishers else all
+        awaited_publishers = awaited_publishers or list(self._publishers_by_topic.values())
         began_s, is_told = time.monotonic(), False
         while not (self._stop.is_requested or self._is_closing):
             counts = {
-                publisher.topic_name: publisher.get_subscription_count() for publisher in watched
+                publisher.topic_name: publisher.get_subscription_count()
+                for publisher in awaited_publishers
             }
             if enough(count >= reader_count for count in counts.values()):
                 time.sleep(_SETTLE_S if reader_count else 0.0)
@@ -283,7 +285,7 @@ class BagPlayer(Node):
         """Send every message once; False if the end was asked for before."""
         pacer, publishers = self._pacer, self._publishers_by_topic
         tick = self._tick if self._clock_publisher is not None else None
-        unconfirmed = dict.fromkeys(publishers, 0)
+        unconfirmed_counts = dict.fromkeys(publishers, 0)
         pacer.restart(start_ns)
         for message in self._reader.messages(publishers, start_ns):
             if not pacer.wait(message.log_time_ns, tick):
@@ -293,9 +295,9 @@ class BagPlayer(Node):
             self._position_ns = message.log_time_ns
             publishers[message.topic].publish(message.data)
             self._count += 1
-            unconfirmed[message.topic] += 1
-            if self._plan.unhindered and unconfirmed[message.topic] == _BURST:
-                unconfirmed[message.topic] = 0
+            unconfirmed_counts[message.topic] += 1
+            if self._plan.unhindered and unconfirmed_counts[message.topic] == _BURST:
+                unconfirmed_counts[message.topic] = 0
                 self._wait_for_acknowledgements(message.topic)
         return True
 
@@ -349,8 +351,8 @@ def _answer(response: Any, success: bool, message: str) -> Any:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the player; the result is the exit code."""
     options = parse_arguments(make_parser(), args)
-    preceding = by_command_line(options)
-    return run_node(lambda stop: BagPlayer(stop, options.bag, preceding), args, name='player')
+    priority_values = by_command_line(options)
+    return run_node(lambda stop: BagPlayer(stop, options.bag, priority_values), args, name='player')
 
 
 if __name__ == '__main__':

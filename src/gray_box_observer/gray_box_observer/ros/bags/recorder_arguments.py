@@ -140,14 +140,14 @@ def make_parser() -> argparse.ArgumentParser:
         metavar='SECONDS',
         help='begin a new file when one spans this time; 0: never',
     )
-    packing = parser.add_mutually_exclusive_group()
-    packing.add_argument(
+    packing_options = parser.add_mutually_exclusive_group()
+    packing_options.add_argument(
         '--compression-format',
         dest='compression',
         choices=COMPRESSIONS,
         help='compression of the chunks inside a file, which stays readable in place',
     )
-    packing.add_argument(
+    packing_options.add_argument(
         '--storage-preset-profile',
         choices=list(PRESETS),
         help="the same by the names of rosbag2's MCAP storage",

@@ -59,8 +59,8 @@ class BagRecorder(Node):
         topics: Topics to record in addition to the parameter ``topics``.
         output: Folder to make; empty for the parameter ``output``.
         all_topics: Whether to record every topic.
-        preceding: What the command line says of how to write, by the names of the parameters that
-            it precedes.
+        priority_values: What the command line says of how to write, by the names of the parameters
+            that it precedes.
 
     Raises:
         BagError: The folder exists or cannot be made.
@@ -73,11 +73,11 @@ class BagRecorder(Node):
         topics: Sequence[str] = (),
         output: str = '',
         all_topics: bool = False,
-        preceding: Mapping[str, Any] | None = None,
+        priority_values: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        values = declare(self, RECORDER_PARAMETERS, preceding)
+        values = declare(self, RECORDER_PARAMETERS, priority_values)
         names = [*topics, *(name for name in values['topics'] if name)]
         self._wanted_topics = {self.resolve_topic_name(name) for name in names}
         self._is_all = values['all'] or all_topics
@@ -88,7 +88,6 @@ class BagRecorder(Node):
         self._lookup = share_lookup()
         self._recordings: dict[str, _Recorded] = {}
         self._refused_topics: set[str] = set()
-        self._declared: dict[str, str] = {}
         self._started_s = time.monotonic()
         self._uses_sim_time = bool(self.get_parameter('use_sim_time').value)
         self._defaults = {
@@ -215,10 +214,10 @@ class BagRecorder(Node):
         subscription = self._recordings[name].subscription
         with subscription.handle:
             for _ in range(limit):
-                serialized = subscription.handle.take_message(subscription.msg_type, True)
-                if serialized is None:
+                raw_message = subscription.handle.take_message(subscription.msg_type, True)
+                if raw_message is None:
                     return False
-                self._write(name, *serialized)
+                self._write(name, *raw_message)
         return True
 
     def _drain(self) -> None:

@@ -122,7 +122,7 @@ class Commentary:
         """Sum up in one line what came of it all."""
         counts = [observer.counts(motor) for motor in self._motors]
         used_count, rejected_count = (
-            sum(c.used for c in counts),
+            sum(c.used_count for c in counts),
             sum(c.rejected.total() for c in counts),
         )
         now_s = self._clock()

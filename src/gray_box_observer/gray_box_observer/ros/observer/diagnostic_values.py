@@ -39,7 +39,9 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     values.update({name: str(count) for name, count in view.counters.items()})
     alarm, training = view.alarm, view.training
     if alarm is not None:
-        armed = 'raised' if alarm.raised else 'armed' if alarm.armed else 'learning the residual'
+        armed = (
+            'raised' if alarm.is_raised else 'armed' if alarm.is_armed else 'learning the residual'
+        )
         values['residual alarm'] = armed
         values['residual std [N m]'] = _text(alarm.std_nm)
         values['alarms raised'] = str(alarm.count)
@@ -55,17 +57,17 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
 def _counts(motor: str, now: Situation) -> dict[str, str]:
     pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
     rejections: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
-    for counts in now.message_input.rejected.values():
+    for counts in now.message_input.rejection_counts.values():
         rejections.update({reason.value: n for reason, n in counts.items()})
     newest_ns = now.meter.newest_ns.get(motor)
     return {
-        'samples used': str(pairing.used),
-        'samples waiting for voltage': str(pairing.waiting),
+        'samples used': str(pairing.used_count),
+        'samples waiting for voltage': str(pairing.waiting_count),
         'voltage messages': str(pairing.received_voltage),
         'torque messages': str(pairing.received_torque),
         'signal restarts': str(pairing.restarts),
-        'samples with voltage held': str(pairing.held),
-        'samples missing': str(0 if rhythm is None else rhythm.missing),
+        'samples with voltage held': str(pairing.held_count),
+        'samples missing': str(0 if rhythm is None else rhythm.missing_count),
         'pauses': str(0 if rhythm is None else max(0, rhythm.pauses)),
         'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
         'age of newest sample [s]': _text(
@@ -85,10 +87,10 @@ def _balance(motor: str, now: Situation) -> dict[str, str]:
     pairing, message_input = now.observer.counts(motor), now.message_input
     values = {'voltages taken': str(pairing.taken_voltage)}
     for name in ('voltage', 'torque'):
-        values[f'{name} topic: messages'] = str(message_input.received[name])
-        values[f'{name} topic: unreadable'] = str(message_input.rejected[name].total())
+        values[f'{name} topic: messages'] = str(message_input.message_counts[name])
+        values[f'{name} topic: unreadable'] = str(message_input.rejection_counts[name].total())
         values[f'{name} topic: of no motor here'] = str(message_input.others[name])
-        refusals = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
+        refusals = sorted((reason.value, n) for reason, n in pairing.refusal_counts[name].items())
         values[f'{name} messages refused'] = (
             ', '.join(f'{reason}: {n}' for reason, n in refusals) or 'none'
         )

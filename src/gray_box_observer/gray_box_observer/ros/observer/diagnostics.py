@@ -172,11 +172,11 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
     silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
     if not silent:
         return None
-    trouble = now.inputs.trouble(n for n in silent if not now.message_input.received[n])
+    trouble = now.inputs.trouble(n for n in silent if not now.message_input.message_counts[n])
     if trouble is not None:
         level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
         return level, f'nothing received for this motor: {trouble.message}'
-    if any(now.message_input.rejected[n] for n in silent):
+    if any(now.message_input.rejection_counts[n] for n in silent):
         complaint = next(
             (
                 f' ({now.message_input.complaints[n]})'

@@ -102,7 +102,7 @@ class TrafficMeter:
         period_s = max(self._now[0] - before_s, 1e-9)
         busy_s, self._busy_s = self._busy_s, 0.0
         unread: Counter[Rejection] = Counter()
-        for name, counts in message_input.rejected.items():
+        for name, counts in message_input.rejection_counts.items():
             unread += self._new_rejections(name, counts)
         return Traffic(
             period_s,
@@ -110,7 +110,10 @@ class TrafficMeter:
                 motor: self._motor(motor, observer, unread)
                 for motor in observer.configuration.motors
             },
-            {name: self._new('messages', name, message_input.received[name]) for name in SIGNALS},
+            {
+                name: self._new('messages', name, message_input.message_counts[name])
+                for name in SIGNALS
+            },
             (self._now[1] - before_cpu_s) / period_s,
             busy_s / period_s,
         )
@@ -129,7 +132,7 @@ class TrafficMeter:
         ):  # told this once, at least
             self._settled_changes[motor] = changes
         return MotorTraffic(
-            self._new('used', motor, pairing.used),
+            self._new('used', motor, pairing.used_count),
             self._new_rejections(motor, pairing.rejected) + unread,
             {
                 'voltage': self._new('voltage', motor, pairing.received_voltage),
