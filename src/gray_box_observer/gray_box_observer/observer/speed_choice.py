@@ -294,8 +294,10 @@ class SpeedChoice:
         assert self._make is not None
         content, stamp_ns, before_a = trial.content, trial.stamp_ns, trial.before_a
         total = content.shape[2]
-        for count in [*(look for look in LOOKS if look < total), total]:
-            other = self._make(OTHER[self.source])
+        other = self._make(OTHER[self.source])
+        for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
+            if look > 0 and not other.can_go_on:
+                other = self._make(OTHER[self.source])
             estimate = yield from other.learn_remembered(content[:, :, -count:], stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
