@@ -298,11 +298,11 @@ class GradientUpdate:
         better = self._loss < 0.95 * self._best
         self._best = np.where(better, self._loss, self._best)
         self._stale = np.where(better, 0, self._stale + 1)
-        cut = self._stale >= self._rules.patience
+        is_stale = self._stale >= self._rules.patience
         self._rate = np.where(
-            cut, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate
+            is_stale, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate
         )
-        self._stale = np.where(cut, 0, self._stale)
+        self._stale = np.where(is_stale, 0, self._stale)
 
     def _follow_drift(self, fresh: Array) -> None:
         """Start over from the present values when the newest data no longer fit."""

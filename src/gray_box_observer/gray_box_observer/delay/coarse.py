@@ -146,11 +146,11 @@ def _misfits(
     """
     if basis:
         unit_basis = np.stack([b / max(float(np.linalg.norm(b)), 1e-300) for b in basis], axis=1)
-        left, size, _ = np.linalg.svd(unit_basis, full_matrices=False)
-        left = left[:, size > 1e-6 * size[0]] if size[0] > 0.0 else left[:, :0]
+        directions, size, _ = np.linalg.svd(unit_basis, full_matrices=False)
+        directions = directions[:, size > 1e-6 * size[0]] if size[0] > 0.0 else directions[:, :0]
     else:
-        left = np.zeros((change.size, 0))
-    rest = change - left @ (left.T @ change)
+        directions = np.zeros((change.size, 0))
+    rest = change - directions @ (directions.T @ change)
     about = volt - np.mean(volt)  # sums of squares cancel less about the mean
     known_drop = (known_drop - np.mean(volt)) * whole
     yield
@@ -162,7 +162,7 @@ def _misfits(
         - 2.0 * along(known_drop)
         + known_drop @ known_drop
     )
-    for column in left.T:
+    for column in directions.T:
         yield
         square = square - (along(column) - column @ known_drop) ** 2
     total = float(rest @ rest)

@@ -254,9 +254,9 @@ class FineSearch:
         )
 
 
-def evidence(best: Fitted, fixed: Fitted) -> float:
+def evidence(best: Fitted, held_fit: Fitted) -> float:
     """Log-likelihood gain of the best delay over the held one, less for correlated residuals."""
     scale = best.noise_a**2 * best.correlation_length
     return (
-        (fixed.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
+        (held_fit.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
     )  # a motor at rest says nothing

@@ -50,22 +50,23 @@ class MixUp:
         motor: whose balance does not close.
         other: whose signal closes it.
         signal: which signal: ``voltage`` or ``current``.
-        left: share of the squared voltage that is left with it.
-        own_left: the same with the motor's own signal.
+        share: share of the squared voltage that is left with it.
+        own_share: the same with the motor's own signal.
     """
 
     motor: str
     other: str
     signal: str
-    left: float
-    own_left: float
+    share: float
+    own_share: float
 
     @property
     def sentence(self) -> str:
         """Say it in one line, with the remedy."""
         return (
             f'the {self.signal} named {self.other} closes the voltage balance of {self.motor} '
-            f'({100.0 * self.left:.2g} % of the squared voltage left, {100.0 * self.own_left:.2g} '
+            f'({100.0 * self.share:.2g} % of the squared voltage left, '
+            f'{100.0 * self.own_share:.2g} '
             f'% with its own): are {self.motor} and {self.other} swapped? Swap their names, or set '
             f'{self.motor}.joint: {self.other} and {self.other}.joint: {self.motor}'
         )
@@ -82,7 +83,7 @@ def mix_up(motor: str, samples: Mapping[str, Array]) -> MixUp | None:
     own = samples[motor]
     if own.shape[1] < FEWEST:
         return None
-    own_left = _left(own[VOLTAGE], own[TORQUE], own)
+    own_share = _share_left(own[VOLTAGE], own[TORQUE], own)
     limit = CLOSED if np.isfinite(own[SPEED]).all() else CLOSED_UNMEASURED
     best: MixUp | None = None
     others = [name for name in samples if name != motor][:MOST_MOTORS]
@@ -90,13 +91,13 @@ def mix_up(motor: str, samples: Mapping[str, Array]) -> MixUp | None:
         other = samples[name]
         if not np.array_equal(other[INTERVAL, 1:], own[INTERVAL, 1:]):
             continue
-        for signal, left in (
-            ('voltage', _left(other[VOLTAGE], own[TORQUE], own)),
-            ('current', _left(own[VOLTAGE], other[TORQUE], own)),
+        for signal, share in (
+            ('voltage', _share_left(other[VOLTAGE], own[TORQUE], own)),
+            ('current', _share_left(own[VOLTAGE], other[TORQUE], own)),
         ):
-            closes = left < limit and TIMES * left < own_left
-            if closes and (best is None or left < best.left) and _is_mutual(own, other, signal):
-                best = MixUp(motor, name, signal, left, own_left)
+            closes = share < limit and TIMES * share < own_share
+            if closes and (best is None or share < best.share) and _is_mutual(own, other, signal):
+                best = MixUp(motor, name, signal, share, own_share)
     return best
 
 
@@ -109,11 +110,11 @@ def _is_mutual(own: Array, other: Array, signal: str) -> bool:
     limit = CLOSED if np.isfinite(other[SPEED]).all() else CLOSED_UNMEASURED
     voltage_v = own[VOLTAGE] if signal == 'voltage' else other[VOLTAGE]
     torque_nm = other[TORQUE] if signal == 'voltage' else own[TORQUE]
-    left = _left(voltage_v, torque_nm, other)
-    return left < limit and TIMES * left < _left(other[VOLTAGE], other[TORQUE], other)
+    share = _share_left(voltage_v, torque_nm, other)
+    return share < limit and TIMES * share < _share_left(other[VOLTAGE], other[TORQUE], other)
 
 
-def _left(voltage_v: Array, torque_nm: Array, own: Array) -> float:
+def _share_left(voltage_v: Array, torque_nm: Array, own: Array) -> float:
     """Return the share of a squared voltage that the best balance leaves.
 
     Args:

@@ -118,7 +118,7 @@ class _Trial:
     backlog: list[Array] = field(default_factory=list)
     taken_count: int | None = None
 
-    def remember(self, samples: Array) -> None:
+    def keep(self, samples: Array) -> None:
         """Remember samples that have come, shape (signal, 1, n); of very many the newest."""
         self.backlog.extend(samples[:, 0].T.copy())
         excess_count = len(self.backlog) - LONGEST_BACKLOG
@@ -190,7 +190,7 @@ class SpeedChoice:
             self._refusal = self._why_not_yet()
         new_count = min(received - self._seen, nodes.replay.stored(0))
         if self._trial is not None and new_count > 0:
-            self._trial.remember(nodes.replay.newest(new_count))
+            self._trial.keep(nodes.replay.newest(new_count))
         self._seen = received
         if self._trial is None:
             if not is_doubted or received < self._due:

@@ -291,12 +291,15 @@ def _exponential_step(
     Of several states each decays by itself.
     """
     decays = [ops.minimum(slopes[state], -1e-12) for state, slopes in enumerate(here.by_state)]
-    left = [ops.exp(decay * interval.length_s) for decay in decays]
-    reach = [(rest - 1.0) / decay for rest, decay in zip(left, decays, strict=True)]
+    decay_factors = [ops.exp(decay * interval.length_s) for decay in decays]
+    reach = [(rest - 1.0) / decay for rest, decay in zip(decay_factors, decays, strict=True)]
     states = range(len(start))
     return Linear(
         [start[s] + reach[s] * here.value[s] for s in states],
-        [[left[s] if s == r else reach[s] * here.by_state[s][r] for r in states] for s in states],
+        [
+            [decay_factors[s] if s == r else reach[s] * here.by_state[s][r] for r in states]
+            for s in states
+        ],
         [reach[s] * here.by_coordinate[s] for s in states],
     )
 

@@ -189,14 +189,14 @@ def test_a_network_that_is_worse_on_what_was_measured_does_not_run(
     trainer, job = PhysicsTrainer(configuration(thesis_box)), job_of(samples, HARD)
     found = newest_history(thesis_box, job)
     assert found is not None
-    running = trainer._running
+    running = trainer._current_network
     flattered = {**job, 'torque_nm': job['torque_nm'].copy()}
     flattered['torque_nm'][:, 1:] = thesis_box.output(
         free_run(running, found.sequences)[0]
     )  # as if it had always been right
     for _ in range(4):
         assert 'input' not in trainer.train(flattered)
-    assert trainer._running is running
+    assert trainer._current_network is running
     assert any('input' in trainer.train(job) for _ in range(4))
 
 

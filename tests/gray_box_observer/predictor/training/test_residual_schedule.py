@@ -85,7 +85,7 @@ def test_a_segment_begins_where_the_physics_had_come_to_and_a_real_beginning_whe
     job = {**run.job(), 'theta': TRUTH}
     found = histories(thesis_box, job)
     assert [(h.number[0] - 1) // SEGMENT for h in found] == [0, 1, 8]
-    assert [h.cut for h in found] == [False, False, True]
+    assert [h.is_cut for h in found] == [False, False, True]
     torques_nm = [told_by(0, 9.0), told_by(SEGMENT, 5.0), -told_by(8 * SEGMENT, 1.0)]
     np.testing.assert_allclose(
         [h.sequences.start_a[0] for h in found], np.array(torques_nm) / 0.01, rtol=1e-12

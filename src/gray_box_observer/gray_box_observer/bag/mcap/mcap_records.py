@@ -140,13 +140,15 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
 
 def parse_statistics(content: bytes) -> Statistics | None:
     """The content of a statistics record; None if it contradicts itself."""
-    fixed = struct.Struct('<QHIIIIQQI')
-    if len(content) < fixed.size:
+    fixed_part = struct.Struct('<QHIIIIQQI')
+    if len(content) < fixed_part.size:
         return None
-    messages, _, _, _, _, chunks, start_ns, end_ns, byte_count = fixed.unpack_from(content)
-    if byte_count % 10 or fixed.size + byte_count > len(content) or start_ns > end_ns:
+    messages, _, _, _, _, chunks, start_ns, end_ns, byte_count = fixed_part.unpack_from(content)
+    if byte_count % 10 or fixed_part.size + byte_count > len(content) or start_ns > end_ns:
         return None
-    counts = dict(struct.iter_unpack('<HQ', content[fixed.size : fixed.size + byte_count]))
+    counts = dict(
+        struct.iter_unpack('<HQ', content[fixed_part.size : fixed_part.size + byte_count])
+    )
     if sum(counts.values()) != messages:
         return None
     return Statistics(messages, chunks, start_ns, end_ns, counts)

@@ -54,8 +54,8 @@ class Block:
         is_inlier: where the sample is no outlier either.
         weights: what each sample counts: less than one after a restart, nothing where it is not
             kept.
-        left: shape (motor,): variance that restarts leave in the state at the end, in units of the
-            noise's.
+        left_variance: shape (motor,): variance that restarts leave in the state at the end, in
+            units of the noise's.
         has_kick: shape (motor,): whether the state was let go.
         samples: shape (motor,): how many are valid.
         inlier_count: shape (motor,): how many are kept.
@@ -72,7 +72,7 @@ class Block:
     valid: NDArray[np.bool_]
     is_inlier: NDArray[np.bool_]
     weights: Array
-    left: Array
+    left_variance: Array
     has_kick: NDArray[np.bool_]
     samples: NDArray[np.int_]
     inlier_count: NDArray[np.int_]
@@ -126,7 +126,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
     counts = valid.sum(axis=1), is_inlier.sum(axis=1)
     weights = is_inlier / (1.0 + loose[:, 1:])
     normal = weighted(jacobian, weights, residual)
-    left = taken_over(loose[:, -1])
+    left_variance = taken_over(loose[:, -1])
     return Block(
         stretch,
         path,
@@ -136,7 +136,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
         valid,
         is_inlier,
         weights,
-        left,
+        left_variance,
         has_kick,
         *counts,
         *normal,
@@ -202,7 +202,7 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walk_spread: Array 
     p = within_bounds(white_box, belief.p * (1.0 + step[:, COORDINATES]))
     transfer = belief.frame.transfer(block.path)
     end_covariance = transfer @ posterior @ transfer.swapaxes(1, 2)
-    end_covariance[:, CURRENT, CURRENT] += block.left / belief.current_a**2
+    end_covariance[:, CURRENT, CURRENT] += block.left_variance / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, CURRENT, 0] * belief.current_a
     if walk_spread is not None:
         end_covariance[:, COORDINATES, COORDINATES] += (

@@ -26,14 +26,14 @@ class History:
         sequences: what was held over the intervals, and the current at the start.
         current_a: shape (motor, time): measured at the ends of the intervals.
         number: shape (time,): which sample each is, counted since the beginning.
-        cut: whether it goes on from samples that are not here, so that nobody knows what a memory
-            would hold.
+        is_cut: whether it goes on from samples that are not here, so that nobody knows what a
+            memory would hold.
     """
 
     sequences: Sequences
     current_a: Array
     number: NDArray[np.int64]
-    cut: bool = False
+    is_cut: bool = False
 
 
 def histories(white_box: MotorWhiteBox, job: Mapping[str, Any]) -> list[History]:
@@ -61,5 +61,5 @@ def _history(white_box: MotorWhiteBox, job: Mapping[str, Any], first: int, end: 
     speed = job['speed_rad_s'][:, first : end - 1]  # what was known when the interval began
     voltage_v, interval_s = (job[name][:, first + 1 : end] for name in ('voltage_v', 'interval_s'))
     sequences = Sequences(white_box, job['theta'], voltage_v, interval_s, speed, current[:, 0])
-    cut = bool(np.all(job['interval_s'][:, first] > 0.0))
-    return History(sequences, current[:, 1:], job['number'][first + 1 : end], cut)
+    is_cut = bool(np.all(job['interval_s'][:, first] > 0.0))
+    return History(sequences, current[:, 1:], job['number'][first + 1 : end], is_cut)

@@ -68,7 +68,7 @@ class PhysicsTrainer:
         self._rules = TrainingSettings.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
         self._random = np.random.default_rng([self._seed, 1])
-        self._running = first_network(self._rules, self._seed)
+        self._current_network = first_network(self._rules, self._seed)
         self._trainable: TrainableNetwork | None = None
         self._refusal_count = 0
         self._residual = ResidualTrainer(self._seed, self._rules.device)
@@ -89,13 +89,13 @@ class PhysicsTrainer:
         if job.get('residual_anew'):
             self._residual = ResidualTrainer(self._seed, self._rules.device)
         if job.get('residual'):
-            answer |= self._residual.learn(self._running, histories(self._white_box, job))
+            answer |= self._residual.learn(self._current_network, histories(self._white_box, job))
         return {**answer, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
         """Teach the physics; say what came of it."""
         if 'start_input' in job:
-            self._running = Weights(
+            self._current_network = Weights(
                 **{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}
             )
             self._restore(
@@ -111,7 +111,7 @@ class PhysicsTrainer:
         own = _HeldOut(
             self._draw(np.random.default_rng([self._seed, 3]), job, range_seen, HELD_OUT)
         )
-        now = own.error(self._running)
+        now = own.error(self._current_network)
         if now <= ENOUGH:
             return {'windows': 0, 'settled': True, 'error': now}
         if self._trainable is None:
@@ -126,14 +126,14 @@ class PhysicsTrainer:
         }
         candidate = self._trainable.weights
         if self._better(candidate, own, now, job):
-            self._running, self._refusal_count = candidate, 0
-            answer |= self._running.arrays()
+            self._current_network, self._refusal_count = candidate, 0
+            answer |= self._current_network.arrays()
         else:
             self._refusal_count += 1
         is_settled = self._refusal_count >= self._rules.patience
         if is_settled:
             self._trainable, self._refusal_count = None, 0
-        return {**answer, 'settled': is_settled, 'error': own.error(self._running)}
+        return {**answer, 'settled': is_settled, 'error': own.error(self._current_network)}
 
     def _state(self) -> dict[str, Array]:
         """Everything but the running network that the next job depends on."""
@@ -177,7 +177,7 @@ class PhysicsTrainer:
 
         rules = self._rules
         return TrainableNetwork(
-            self._running, rules.learning_rate, rules.gradient_clip, rules.device
+            self._current_network, rules.learning_rate, rules.gradient_clip, rules.device
         )
 
     def _draw(
@@ -212,13 +212,14 @@ class PhysicsTrainer:
         """Whether a network beats the running one on drawn data and is no worse on measured."""
         if not own.error(candidate) <= BETTER * now:
             return False
-        if not self._family.error(candidate) <= FORGETS * self._family.error(self._running):
+        if not self._family.error(candidate) <= FORGETS * self._family.error(self._current_network):
             return False
         history = newest_history(self._white_box, job)
         if history is None:
             return True
         predictions = [
-            free_run(weights, history.sequences)[0] for weights in (candidate, self._running)
+            free_run(weights, history.sequences)[0]
+            for weights in (candidate, self._current_network)
         ]
         errors = [np.abs(predicted_a - history.current_a) for predicted_a in predictions]
         worse = errors[0] - errors[1]

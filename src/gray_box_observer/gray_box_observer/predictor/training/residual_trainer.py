@@ -73,14 +73,14 @@ STEPS = 150
 class _Run:
     """Signal histories in a row with what the physics says of them; arrays of (motor, time).
 
-    ``number``, ``anew``, ``cut`` and ``is_warm`` have shape (time,): which sample it is, counted
+    ``number``, ``anew``, ``is_cut`` and ``is_warm`` have shape (time,): which sample it is, counted
     since the beginning, where a history begins, where it goes on from samples that are lost, and
     whether what is said of it counts: it does not while the memory fills that streams full.
     """
 
     number: NDArray[np.int64]
     anew: NDArray[np.bool_]
-    cut: NDArray[np.bool_]
+    is_cut: NDArray[np.bool_]
     is_warm: NDArray[np.bool_]
     interval_s: Array
     voltage_v: Array
@@ -220,17 +220,17 @@ class ResidualTrainer:
         blank = ResidualModel(
             self._trainable.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s
         )
-        teaching = ~judging(run.number) & run.is_warm
+        is_training = ~judging(run.number) & run.is_warm
         at = (
-            cells(run.predicted_a / size[1])[:, teaching],
-            cells(run.voltage_v / size[0])[:, teaching],
+            cells(run.predicted_a / size[1])[:, is_training],
+            cells(run.voltage_v / size[0])[:, is_training],
         )
         np.add.at(support, at, 1.0)
         columns, targets = _features(run, pace_s), run.residual_a / limit_a
-        linear = LinearPart.learn(columns[:, teaching], targets[:, teaching])
+        linear = LinearPart.learn(columns[:, is_training], targets[:, is_training])
         inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
         self._trainable.learn(
-            self._random, inputs, targets - linear.say(columns), teaching, run.anew, steps
+            self._random, inputs, targets - linear.say(columns), is_training, run.anew, steps
         )
         return replace(blank, weights=self._trainable.weights, linear=linear)
 
@@ -316,8 +316,8 @@ def _against_physics(
             continue
         sequences, current_a, number = history.sequences, history.current_a, history.number
         anew = number == number[0]
-        cut = anew & history.cut
-        is_warm = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
+        is_cut = anew & history.is_cut
+        is_warm = (number >= number[0] + WARM) if history.is_cut else np.ones_like(anew)
         signals = (
             sequences.interval_s,
             sequences.voltage_v,
@@ -327,7 +327,7 @@ def _against_physics(
             physics_run.steady_a,
             current_a - physics_run.predicted_a,
         )
-        parts.append((number, anew, cut, is_warm, *signals))
+        parts.append((number, anew, is_cut, is_warm, *signals))
     if not parts:
         return None
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
@@ -342,7 +342,7 @@ def _features(run: _Run, pace_s: float) -> Array:
         )
         start = (
             lag_features.presumed(voltage_v, speed)
-            if run.cut[begin]
+            if run.is_cut[begin]
             else lag_features.blank(voltage_v.shape[0])
         )
         parts.append(lag_features.along(voltage_v, speed, interval_s / pace_s, start))

@@ -73,7 +73,7 @@ class TrainableResidual:
         random: np.random.Generator,
         inputs: Array,
         residual: Array,
-        teaching: NDArray[np.bool_],
+        is_training: NDArray[np.bool_],
         anew: NDArray[np.bool_],
         steps: int,
     ) -> None:
@@ -83,11 +83,11 @@ class TrainableResidual:
             random: draws the windows.
             inputs: shape (motor, time, input): histories one after another.
             residual: shape (motor, time), in units of the largest correction.
-            teaching: shape (time,): samples whose error counts.
+            is_training: shape (time,): samples whose error counts.
             anew: shape (time,): where a history begins, the first among them.
             steps: number of steps.
         """
-        x, y, counts = (self._network.single(array) for array in (inputs, residual, teaching))
+        x, y, counts = (self._network.single(array) for array in (inputs, residual, is_training))
         size = float(np.mean(np.abs(residual))) + 1e-12
         for _ in range(steps):
             motor = torch.as_tensor(
