@@ -252,8 +252,8 @@ def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver
         except StopIteration as end:
             form = end.value.form
             break
-        assert (trial.taken or 0) - taken <= CATCH_UP
-        taken = trial.taken or 0
+        assert (trial.taken_count or 0) - taken <= CATCH_UP
+        taken = trial.taken_count or 0
     assert form is not None
     assert len(trial.backlog) - CATCH_UP <= taken <= len(trial.backlog)
 

@@ -49,6 +49,11 @@ class MotorForm:
     make_forecasting: Callable[[], Forecasting]
     scales: ScaleDoubt | None = None
 
+    @property
+    def can_go_on(self) -> bool:
+        """Whether :meth:`learn_remembered` goes on from what it has found in fewer samples."""
+        return isinstance(self.context_nodes, RotorUpdate)
+
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[Estimate]:
         """Learn the samples that another form remembers, all at once, and test the fit.
 

@@ -109,21 +109,21 @@ class _Trial:
         stamp_ns: of the newest of them.
         before_a: root mean square in A of the residual that the form in force leaves of them.
         backlog: shape (signal,) each: samples that have come since.
-        taken: how many of them a form that was found has taken over; None: none was found yet.
+        taken_count: how many of them a form that was found has; None: none was found yet.
     """
 
     content: Array
     stamp_ns: int
     before_a: float
     backlog: list[Array] = field(default_factory=list)
-    taken: int | None = None
+    taken_count: int | None = None
 
     def keep(self, samples: Array) -> None:
         """Remember samples that have come, shape (signal, 1, n); of very many the newest."""
         self.backlog.extend(samples[:, 0].T.copy())
-        gone = len(self.backlog) - LONGEST_BACKLOG
-        if gone > 0 and self.taken is None:
-            del self.backlog[:gone]
+        excess_count = len(self.backlog) - LONGEST_BACKLOG
+        if excess_count > 0 and self.taken_count is None:
+            del self.backlog[:excess_count]
             self.backlog[0][INTERVAL] = 0.0  # the signal history begins here
 
 
@@ -188,9 +188,9 @@ class SpeedChoice:
             self._refusal = ''
         elif not self._refusal:
             self._refusal = self._why_not_yet()
-        new = min(received - self._seen, nodes.replay.stored(0))
-        if self._trial is not None and new > 0:
-            self._trial.keep(nodes.replay.newest(new))
+        new_count = min(received - self._seen, nodes.replay.stored(0))
+        if self._trial is not None and new_count > 0:
+            self._trial.keep(nodes.replay.newest(new_count))
         self._seen = received
         if self._trial is None:
             if not is_doubted or received < self._due:
@@ -208,10 +208,10 @@ class SpeedChoice:
         """Do what is left of a trial, for no samples will come; see :meth:`step`."""
         if self._work is None:
             return None
-        done = 0
-        while done < FINISHED:
+        work_count = 0
+        while work_count < FINISHED:
             try:
-                done += next(self._work)
+                work_count += next(self._work)
             except StopIteration as end:
                 is_doubted = self._is_doubted(fit)
                 received = int(nodes.replay.received[0])
@@ -233,9 +233,9 @@ class SpeedChoice:
             return None
         self.source = OTHER[self.source]
         self._reason, self._refusal = outcome.reason, ''
-        left = trial.backlog[trial.taken or 0 :]
-        if left:
-            form.catch_up(_content(left), stamp_ns)
+        rest = trial.backlog[trial.taken_count or 0 :]
+        if rest:
+            form.catch_up(_content(rest), stamp_ns)
         self._seen = int(form.context_nodes.replay.received[0])
         self._due = self._seen + self._wait
         return form
@@ -281,11 +281,11 @@ class SpeedChoice:
         outcome = yield from self._compared(trial, parameters)
         if outcome.form is None:
             return outcome
-        trial.taken = 0
-        while len(trial.backlog) - trial.taken > CATCH_UP:
-            part = trial.backlog[trial.taken : trial.taken + CATCH_UP]
+        trial.taken_count = 0
+        while len(trial.backlog) - trial.taken_count > CATCH_UP:
+            part = trial.backlog[trial.taken_count : trial.taken_count + CATCH_UP]
             outcome.form.catch_up(_content(part), trial.stamp_ns)
-            trial.taken += CATCH_UP
+            trial.taken_count += CATCH_UP
             yield WORK_A_CATCH
         return outcome
 
@@ -294,8 +294,10 @@ class SpeedChoice:
         assert self._make is not None
         content, stamp_ns, before_a = trial.content, trial.stamp_ns, trial.before_a
         total = content.shape[2]
-        for count in [*(look for look in LOOKS if look < total), total]:
-            other = self._make(OTHER[self.source])
+        other = self._make(OTHER[self.source])
+        for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
+            if look > 0 and not other.can_go_on:
+                other = self._make(OTHER[self.source])
             estimate = yield from other.learn_remembered(content[:, :, -count:], stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:

@@ -316,9 +316,9 @@ class MeasuredSpeedUpdate:
 
     def _has_fitted(self) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""
-        fitting, missed = self._outputs.fitting, self._outputs.windows_without_fit
+        fitting, missed_count = self._outputs.fitting, self._outputs.windows_without_fit
         has_changed = self._outputs.advance()
-        is_missed = self._outputs.windows_without_fit > missed
+        is_missed = self._outputs.windows_without_fit > missed_count
         if fitting is None or not (
             has_changed or is_missed
         ):  # a voltage that is held tells nothing

@@ -291,7 +291,9 @@ class RotorUpdate:
         return bool(has_changed)
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
-        """Learn samples of the past with few fits; nothing may have been learnt before.
+        """Learn samples of the past with few fits; nothing else may have been learnt before.
+
+        What fewer of the same samples have told is where the search begins.
 
         Args:
             content: shape (signal, 1, n), as a replay buffer gives it.

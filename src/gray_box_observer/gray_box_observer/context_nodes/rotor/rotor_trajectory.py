@@ -217,15 +217,15 @@ def _run(
         for k, (volt, length, load) in enumerate(
             zip(*(signal.tolist() for signal in signals), strict=True)
         ):
-            moved = motion.over(states[k].tolist(), volt, length, float(p[LOAD]) + load)
+            end = motion.over(states[k].tolist(), volt, length, float(p[LOAD]) + load)
             if motion.steps > patience:
                 return k, motion.steps
-            if not all(abs(x) <= most for x, most in zip(moved.value, limits, strict=True)):
+            if not all(abs(x) <= most for x, most in zip(end.value, limits, strict=True)):
                 return k, motion.steps
-            states[k + 1] = moved.value
-            transitions[k] = moved.by_state
+            states[k + 1] = end.value
+            transitions[k] = end.by_state
             derivatives[k + 1] = transitions[k] @ derivatives[k]
-            derivatives[k + 1, :, STATES:] += np.array(moved.by_coordinate)
+            derivatives[k + 1, :, STATES:] += np.array(end.by_coordinate)
     return int(states.shape[0]) - 1, motion.steps
 
 
@@ -283,24 +283,24 @@ class _Motion:
         """Move on by a part of an interval, in shorter steps where a state passes zero."""
         rate_at = self._rate_at(volt)
         here = rate_at(start)
-        moved = None if straight is None else straight.moved(rate_at, start, here, level)
-        if moved is not None:
+        motion = None if straight is None else straight.moved(rate_at, start, here, level)
+        if motion is not None:
             self.steps += STRAIGHT_COST
-            return moved
+            return motion
         may_halve, few = straight is not None and level < HALVINGS, FEW_STEPS * LARGEST_STEP
         away = _fastest(here)
         interval = Interval(volt, 0.0, 0.0, length_s)  # type: ignore[arg-type]
         if not may_halve or away * length_s <= few:
-            moved, taken = _in_steps(rate_at, start, here, interval, away)
+            motion, taken = _in_steps(rate_at, start, here, interval, away)
             self.steps += taken
-            steepest = self._steepest(rate_at, start, here, moved, length_s)
+            steepest = self._steepest(rate_at, start, here, motion, length_s)
             if not steepest > away:
-                return moved
+                return motion
             away = steepest
             if not may_halve or away * length_s <= few:
-                moved, taken = _in_steps(rate_at, start, here, interval, away)
+                motion, taken = _in_steps(rate_at, start, here, interval, away)
                 self.steps += taken
-                return moved
+                return motion
         half = 0.5 * length_s
         first = self._part(start, volt, half, level + 1, straight)
         then = self._part([*first.value], volt, half, level + 1, straight)
@@ -308,12 +308,12 @@ class _Motion:
 
     @staticmethod
     def _steepest(
-        rate_at: Any, start: list[float], here: Linear, moved: Linear, length_s: float
+        rate_at: Any, start: list[float], here: Linear, motion: Linear, length_s: float
     ) -> float:
         """Return the fastest rate where states are zero that pass it on the way; 0: none does."""
         passes = [
             abs(x) <= length_s * abs(slope) or x * end <= 0.0
-            for x, slope, end in zip(start, here.value, moved.value, strict=True)
+            for x, slope, end in zip(start, here.value, motion.value, strict=True)
         ]
         if not any(passes):
             return 0.0

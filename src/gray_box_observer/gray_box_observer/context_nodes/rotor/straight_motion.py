@@ -128,8 +128,8 @@ class StraightMotion:
         bends = []
         for state in State:
             at = [0.0 if other is state else float(far[other]) for other in State]
-            apart = np.abs(np.array(rate_at(at).by_state) - jacobian).sum()
-            bends.append(not bool(apart <= CONSTANT * total))
+            difference = np.abs(np.array(rate_at(at).by_state) - jacobian).sum()
+            bends.append(not bool(difference <= CONSTANT * total))
         halvings, least_s = 0, length_s
         while halvings < LEVELS - 1 or not total * least_s <= SHORT:
             if halvings == MOST_HALVINGS:
@@ -163,9 +163,9 @@ class StraightMotion:
                 return None
         if not all(self._is_near(rate_at, begin, rate, at) for at in (end, middle)):
             return None
-        turned = way.slope @ rate
+        by_rate = way.slope @ rate
         by_coordinate = way.rate @ np.array(here.by_coordinate)
-        by_coordinate += np.einsum('bsr,bjr->sj', turned, self.gradient)
+        by_coordinate += np.einsum('bsr,bjr->sj', by_rate, self.gradient)
         return Linear(end.tolist(), way.state.tolist(), [*by_coordinate])
 
     def _is_near(self, rate_at: RateAt, begin: Array, rate: Array, at: Array) -> bool:
