@@ -175,6 +175,8 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
             yield (_delayed(speed, samples) - speed,)
 
 
+COLOURED_NOISE, CHANGE = 'coloured_noise', 'change'
+
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
@@ -222,7 +224,7 @@ EFFECTS: dict[str, Effect] = {
             'estimate): the sensor lags',
             credible=LATER,
         ),
-        Effect('change', _change, 'call ~/reset: the motor has become another one'),
+        Effect(CHANGE, _change, 'call ~/reset: the motor has become another one'),
         Effect(
             'back_emf_constant',
             _back_emf,
@@ -239,8 +241,6 @@ EFFECTS: dict[str, Effect] = {
     )
 }
 """Every effect by its name."""
-
-COLOURED_NOISE = 'coloured_noise'
 
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "

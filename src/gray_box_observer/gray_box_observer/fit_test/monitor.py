@@ -25,7 +25,7 @@ from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
-from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
@@ -33,6 +33,7 @@ from gray_box_observer.fit_test.policy import (
     WHITENESS_DOUBT,
     Judgement,
     judge,
+    shows_change,
     with_shift,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
@@ -57,6 +58,13 @@ FEWEST_WITH_SPEED = 32
 
 SHORTEST_WAIT = 64
 """Samples between two tests of a motor, at least."""
+
+RECENT = 512
+"""Newest samples by which a motor with a rotor is tested between its fits, which come ever rarer:
+one that has changed is none that may be believed."""
+
+RECENT_WAIT = 256
+"""Samples between two such tests."""
 
 LONGEST_SOON = 512
 """Samples between two tests, at most, of a motor that does not fit and has become another one."""
@@ -159,6 +167,7 @@ class FitMonitor:
         self._due = self._fewest.copy()
         self._soon = np.full(len(motors), NEVER)
         self._begin = np.full(len(motors), NEVER)
+        self._tested_at = np.zeros(len(motors), dtype=np.int64)
         self._limits = np.ones(len(motors), dtype=bool)
         self._theta = np.full((len(motors), len(white_boxes[0].parameters)), np.nan)
         self._moved: frozenset[int] = frozenset()
@@ -177,6 +186,18 @@ class FitMonitor:
         result = self._results[motor]
         tested = result is not None and result.assessment.verdict is not FitVerdict.MISFIT
         return not tested or motor in self._moved
+
+    def is_stale(self, nodes: ContextUpdate, motor: int) -> bool:
+        """Tell whether a motor with a rotor is to be tested by its newest samples.
+
+        Args:
+            nodes: the rule that has learnt it.
+            motor: its place on the motor axis.
+        """
+        result = self._results[motor]
+        if result is None or result.assessment.verdict is FitVerdict.MISFIT:
+            return False
+        return int(nodes.replay.received[motor]) - int(self._tested_at[motor]) >= RECENT_WAIT
 
     def due(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
         """Return which of some motors are to be tested now.
@@ -247,8 +268,9 @@ class FitMonitor:
         return has_moved
 
     def test(
-        self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
-    ) -> None:
+        self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate,
+        *, is_recent: bool = False,
+    ) -> None:  # fmt: skip
         """Test one motor.
 
         Args:
@@ -256,14 +278,17 @@ class FitMonitor:
             estimate: of this motor alone, as the rule gives it.
             motor: its place on the motor axis.
             delay: what is known of its delay.
+            is_recent: whether the newest samples alone are tested; only a misfit counts then.
         """
         replay = nodes.replay
         one = slice(motor, motor + 1)
         place, begin = int(replay.received[motor]), int(replay.begin(one)[0])
-        count = int(min(replay.remembered(one)[0], WINDOW))
+        count = int(min(replay.remembered(one)[0], RECENT if is_recent else WINDOW))
+        self._tested_at[motor] = place
         fewest = int(self._fewest[motor])
         if count < fewest:
-            self._put_off(motor, place + fewest - count)
+            if not is_recent:
+                self._put_off(motor, place + fewest - count)
             return
         before = self._results[motor]
         samples = replay.newest(count, one)
@@ -274,7 +299,8 @@ class FitMonitor:
         # transient counts.
         tells = before is None and hopeful and (knows_speed or _knows_inductance(estimate))
         if is_held(samples[VOLTAGE, 0]) and not tells:
-            self._put_off(motor, place + SHORTEST_WAIT)
+            if not is_recent:
+                self._put_off(motor, place + SHORTEST_WAIT)
             return
         theta = estimate.value
         stretch = SampleWindow.newest(white_box, replay, count, one)
@@ -306,6 +332,12 @@ class FitMonitor:
         late = self._delay_suspect(motor, delay)
         if suspicions or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+        fitted = before is not None and before.assessment.verdict is FitVerdict.OK
+        if is_recent and fitted and shows_change(analysis):
+            suspicions.append(Suspect(CHANGE, analysis.whiteness, REMEDIES[CHANGE]))
+            judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+        if is_recent and judgement.verdict is not FitVerdict.MISFIT:
+            return
         if judgement.verdict is not FitVerdict.OK:
             explained = (
                 {}  # its balance has a speed that nobody measures
@@ -460,6 +492,7 @@ class FitMonitor:
         self._results = [None] * len(self._motors)
         self._due[:] = self._fewest
         self._soon[:] = self._begin[:] = NEVER
+        self._tested_at[:] = 0
         self._limits[:] = True
         self._theta[:] = np.nan
 
@@ -470,6 +503,7 @@ class FitMonitor:
         due = {
             'due': int(self._due[motor]) - received_count,
             'soon': int(self._soon[motor]) - received_count if is_asked_soon else None,
+            'tested_at': int(self._tested_at[motor]) - received_count,
         }
         if result is None:
             return due
@@ -522,6 +556,7 @@ class FitMonitor:
 
     def _restore_due(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
         self._due[motor] = plain['due'] + received_count
+        self._tested_at[motor] = plain.get('tested_at', 0) + received_count
         if plain.get('soon') is not None:
             self._soon[motor] = plain['soon'] + received_count
 

@@ -177,6 +177,11 @@ def judge(
     return Judgement(verdict, factor, spread)
 
 
+def shows_change(analysis: ResidualAnalysis) -> bool:
+    """Tell whether a motor that fitted so far has become another one by its newest samples."""
+    return analysis.ratio > RATIO_DOUBT and analysis.whiteness > WHITENESS_DOUBT
+
+
 def _is_delay_untold(analysis: ResidualAnalysis) -> bool:
     """Tell whether half an interval of delay may pass unseen, and would falsify the inductance.
 

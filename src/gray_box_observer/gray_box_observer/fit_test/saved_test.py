@@ -47,6 +47,8 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     whole(plain, 'due', -MOST, MOST)
     if plain.get('soon') is not None:
         whole(plain, 'soon', -MOST, MOST)
+    if 'tested_at' in plain:
+        whole(plain, 'tested_at', -MOST, 0)
     if 'assessment' not in plain:
         return
     assessment = group(plain, 'assessment')

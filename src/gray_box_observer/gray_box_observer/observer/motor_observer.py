@@ -78,6 +78,7 @@ class MotorObserver:
     def __init__(self, form: MotorForm, speed_choice: SpeedChoice) -> None:
         self.speed_choice = speed_choice
         self._tests: list[int] = []
+        self._is_stale = False
         self._retested: dict[int, bool] = {}
         self._deferred: DeferredUpdate | None = None
         self._is_frozen = False
@@ -167,7 +168,7 @@ class MotorObserver:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if self._deferred is not None or self._tests:
+        if self._deferred is not None or self._tests or self._is_stale:
             self.run_deferred()
         prediction = (
             None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
@@ -187,6 +188,9 @@ class MotorObserver:
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
+        if self._is_stale:
+            self._is_stale = False
+            self._know(self._test(0, is_out=True, is_recent=True), _ALONE)
         if self._tests:
             tests, self._tests = self._tests, []
             for motor in tests:
@@ -272,6 +276,7 @@ class MotorObserver:
             self._interval_s = sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
+            self._is_stale = self._speed is not None and self._fit.is_stale(self.context_nodes, 0)
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -328,17 +333,20 @@ class MotorObserver:
         retested, self._retested = self._retested, {}
         return dict(sorted(retested.items()))
 
-    def _test(self, motor: int, *, is_out: bool) -> Estimate:
+    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
         """Test the fit of one motor; return its estimate as far as that lets it be believed.
 
         Args:
             motor: its place on the motor axis.
             is_out: whether its present estimate has gone out already.
+            is_recent: whether its newest samples alone are tested.
         """
         one = slice(motor, motor + 1)
         estimate = self.context_nodes.estimate(one)
         before = self._fit.judged(self.context_nodes, estimate, self._places[one])
-        self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
+        self._fit.test(
+            self.context_nodes, estimate, motor, self.delay_of(motor), is_recent=is_recent
+        )
         self.speed_choice.wake()
         after = self._fit.judged(self.context_nodes, estimate, self._places[one])
         has_changed = before.verdicts != after.verdicts or not np.array_equal(
@@ -553,6 +561,7 @@ class MotorObserver:
 
 _NOBODY = np.arange(0)
 _FIRST = np.arange(1)
+_ALONE = slice(0, 1)
 
 
 def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:
