@@ -40,7 +40,7 @@ do not reach there, units do."""
 LARGEST_VOLTAGE_V = 1000.0
 """No DC motor is driven by more."""
 
-LONGEST_INTERVAL_S = 0.5
+LONGEST_INTERVAL_S = 0.3
 """Between two samples; the electrical time constant of no motor is told by longer ones."""
 
 SHORTEST_INTERVAL_S = 2e-6
