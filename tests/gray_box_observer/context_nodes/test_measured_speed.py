@@ -232,7 +232,7 @@ def test_a_fit_of_both_outputs_under_way_goes_on_bit_for_bit_where_it_is_restore
     for k, sample in enumerate(readings('noisy')):
         changed = one.learn(sample)
         assert all(other.learn(sample) == changed for other in restored)
-        plain, arrays = one.state() if k % 40 == 0 else ({}, {})
+        plain, arrays = one.state() if k % 10 == 0 else ({}, {})
         if 'fitting' in plain.get('measured_speed', {}).get('outputs', {}) and len(restored) < 3:
             restored.append(rule())
             restored[-1].restore(plain, {name: array.copy() for name, array in arrays.items()})

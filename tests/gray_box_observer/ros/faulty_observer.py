@@ -27,11 +27,11 @@ def faulty_step(self, sample):
 healthy_test = FitMonitor.test
 
 
-def faulty_test(self, nodes, estimate, motor, delay):
+def faulty_test(self, nodes, estimate, motor, delay, **options):
     """Test a motor, unless it is the one that the defect is about."""
     if self._motors[motor].name == 'right':
         raise ZeroDivisionError('a defect of the test')
-    healthy_test(self, nodes, estimate, motor, delay)
+    healthy_test(self, nodes, estimate, motor, delay, **options)
 
 
 if __name__ == '__main__':

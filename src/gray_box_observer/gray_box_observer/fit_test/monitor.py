@@ -332,12 +332,13 @@ class FitMonitor:
         late = self._delay_suspect(motor, delay)
         if suspicions or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-        fitted = before is not None and before.assessment.verdict is FitVerdict.OK
-        if is_recent and fitted and shows_change(analysis):
+        if is_recent:
+            was_ok = before is not None and before.assessment.verdict is FitVerdict.OK
+            if was_ok and shows_change(analysis):
+                judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+            if judgement.verdict is not FitVerdict.MISFIT:
+                return
             suspicions.append(Suspect(CHANGE, analysis.whiteness, REMEDIES[CHANGE]))
-            judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-        if is_recent and judgement.verdict is not FitVerdict.MISFIT:
-            return
         if judgement.verdict is not FitVerdict.OK:
             explained = (
                 {}  # its balance has a speed that nobody measures

@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes.pieces import MOST_PIECES, SAVED, Pieces, W
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.effects import CHANGE
 from gray_box_observer.observer.motor_form import MotorForm, residual_a
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
@@ -245,10 +246,11 @@ class SpeedChoice:
         self.is_idle = self._make is None
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
+        leading = fit.suspects[0].effect if fit.suspects else ''
         if fit.verdict is FitVerdict.MISFIT:
-            return True
-        leads = bool(fit.suspects) and fit.suspects[0].effect == ROTOR
-        return leads and fit.verdict is FitVerdict.WARNING
+            # a rotor that has changed: its next fit may explain the data
+            return not (self.source == ROTOR and leading == CHANGE)
+        return leading == ROTOR and fit.verdict is FitVerdict.WARNING
 
     def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, received: int, stamp_ns: int
