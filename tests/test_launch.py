@@ -274,7 +274,7 @@ def test_the_demo_takes_a_namespace_and_a_parameter_file_for_all_of_its_nodes(tm
 
 @pytest.mark.usefixtures('stand_ins')
 def test_the_demo_has_a_page_of_its_observer_unless_none_is_wanted():
-    def of(**arguments: str) -> tuple[list[str], int]:
+    def dashboard_words(**arguments: str) -> tuple[list[str], int]:
         _, nodes = launched(DEMO, **arguments)
         words = [
             word for node in nodes if node.executable == 'dashboard' for word in node.arguments
@@ -287,14 +287,14 @@ def test_the_demo_has_a_page_of_its_observer_unless_none_is_wanted():
         ({}, 0, '/gray_box_observer'),
         ({'dashboard_port': '8080', 'namespace': '/r1'}, 8080, '/r1/gray_box_observer'),
     ):
-        words, readers = of(**arguments)
+        words, readers = dashboard_words(**arguments)
         options = dashboard_command.make_parser().parse_args(words)
         assert (options.port, options.observer) == (port, [observer])
         assert readers == 3, 'it reads torque too'
-    assert of(dashboard_port='none') == ([], 2)
+    assert dashboard_words(dashboard_port='none') == ([], 2)
     for wrong in ('', 'all', '-1', '65536', '8080.5'):
         with pytest.raises(Exception, match=r'^dashboard_port is .*; expected a port from 0 to'):
-            of(dashboard_port=wrong)
+            dashboard_words(dashboard_port=wrong)
 
 
 @pytest.mark.usefixtures('stand_ins')

@@ -100,9 +100,9 @@ class Account:
                 }
             )
             self.counts['delivered'] += delivered[signal]
-        kept = pairing.used_count + pairing.waiting_count
+        kept_count = pairing.used_count + pairing.waiting_count
         self.unexplained += abs(
-            pairing.received_torque - kept - pairing.refusal_counts['torque'].total()
+            pairing.received_torque - kept_count - pairing.refusal_counts['torque'].total()
         )
         self.unexplained += abs(
             pairing.received_voltage

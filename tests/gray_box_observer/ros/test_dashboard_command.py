@@ -64,7 +64,7 @@ def test_an_observer_that_says_nothing_of_use_is_an_error_in_a_sentence(
 
 
 def test_what_an_observer_says_is_taken() -> None:
-    told = {'parameters': {'motors': ['left']}, 'resolved': {'motor/voltage': '/r1/motor/voltage'}}
-    assert dashboard_command._told_by_observer(json.dumps(told).encode()) == told
+    data = {'parameters': {'motors': ['left']}, 'resolved': {'motor/voltage': '/r1/motor/voltage'}}
+    assert dashboard_command._read_signals(json.dumps(data).encode()) == data
     with pytest.raises(InputError):
-        dashboard_command._told_by_observer(b'null')
+        dashboard_command._read_signals(b'null')

@@ -77,8 +77,7 @@ class MotorObserver:
 
     def __init__(self, form: MotorForm, speed_choice: SpeedChoice) -> None:
         self.speed_choice = speed_choice
-        self._tests: list[int] = []
-        self._is_stale = False
+        self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
         self._retested: dict[int, bool] = {}
         self._deferred: DeferredUpdate | None = None
         self._is_frozen = False
@@ -168,7 +167,7 @@ class MotorObserver:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if self._deferred is not None or self._tests or self._is_stale:
+        if self._deferred is not None or self._tests:
             self.run_deferred()
         prediction = (
             None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
@@ -188,13 +187,11 @@ class MotorObserver:
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        if self._is_stale:
-            self._is_stale = False
-            self._know(self._test(0, is_out=True, is_recent=True), _ALONE)
         if self._tests:
             tests, self._tests = self._tests, []
-            for motor in tests:
-                self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
+            for motor, is_recent in tests:
+                estimate = self._test(motor, is_out=True, is_recent=is_recent)
+                self._know(estimate, slice(motor, motor + 1))
         deferred = self._deferred
         if deferred is None:
             return
@@ -276,7 +273,9 @@ class MotorObserver:
             self._interval_s = sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
-            self._is_stale = self._speed is not None and self._fit.is_stale(self.context_nodes, 0)
+            has_rotor = self._speed is not None
+            if has_rotor and not self._tests and self._fit.is_stale(self.context_nodes, 0):
+                self._tests.append((0, True))
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -321,7 +320,7 @@ class MotorObserver:
             if self._fit.is_urgent(motor):
                 self._test(motor, is_out=False)
             else:
-                self._tests.append(motor)
+                self._tests.append((motor, False))
         return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
 
     def retested(self) -> dict[int, bool]:
@@ -561,7 +560,6 @@ class MotorObserver:
 
 _NOBODY = np.arange(0)
 _FIRST = np.arange(1)
-_ALONE = slice(0, 1)
 
 
 def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:

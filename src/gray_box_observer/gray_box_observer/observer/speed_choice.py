@@ -183,15 +183,15 @@ class SpeedChoice:
         if self._make is None:
             return None
         received, is_doubted = int(nodes.replay.received[0]), self._is_doubted(fit)
-        self._budget.grant(float(sample.interval_s[0]), max(0, received - self._seen))
+        new_count = max(0, received - self._seen)
+        self._budget.grant(float(sample.interval_s[0]), new_count)
         self.is_idle = not is_doubted and self._trial is None
         if not is_doubted:
             self._refusal = ''
         elif not self._refusal:
             self._refusal = self._why_not_yet()
-        new_count = min(received - self._seen, nodes.replay.stored(0))
         if self._trial is not None and new_count > 0:
-            self._trial.keep(nodes.replay.newest(new_count))
+            self._trial.keep(nodes.replay.newest(min(new_count, nodes.replay.stored(0))))
         self._seen = received
         if self._trial is None:
             if not is_doubted or received < self._due:

@@ -119,7 +119,8 @@ static void ladder_made(const double *p, double torque_constant, const double *f
             size += absolute(rate[0].by_state[s][r]);
         }
     for (int s = 0; s < STATES; s++) {
-        const double at[STATES] = {s == CURRENT ? 0.0 : far[CURRENT], s == SPEED ? 0.0 : far[SPEED]};
+        const double at[STATES] = {s == CURRENT ? 0.0 : far[CURRENT],
+                                   s == SPEED ? 0.0 : far[SPEED]};
         const Linear there = rate_of(p, torque_constant, at, 0.0);
         double apart = 0.0;
         for (int r = 0; r < STATES; r++)

@@ -61,7 +61,8 @@ enum { FEW_STEPS = 4, STRAIGHT_COST = 2, FEWEST_INTERVALS = 8, MANY_STEPS = 16 }
 #define SAME_LENGTH 1e-6
 
 /* Move on by a length, the ladder's where there is one: at once where the rate is straight on the
- * way, in steps where these are few, else by halves. Steps are shorter where a state passes zero. */
+ * way, in steps where these are few, else by halves. Steps are shorter where a state passes
+ * zero. */
 static Linear moved_on(const double *p, double torque_constant, const double *start, double voltage,
                        double length, const Stepping *by, int level, int64_t *taken)
 {

@@ -89,29 +89,29 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
         'parameters': parameters,
     }
     if options.of_observer:
-        settings |= _told_by_observer(_first_line(STDIN))
+        settings |= _read_signals(_first_line(STDIN))
         threading.Thread(target=_end_with_observer, daemon=True, name='observer').start()
         _give_way()
     return settings
 
 
-def _told_by_observer(line: bytes) -> dict[str, Any]:
+def _read_signals(line: bytes) -> dict[str, Any]:
     """Return parameters and resolved topics from the line that an observer writes.
 
     Raises:
         InputError: the line is none of an observer, or ended early.
     """
     try:
-        told = json.loads(line)
+        data = json.loads(line)
     except (ValueError, RecursionError):
-        told = None
+        data = None
     names = ('parameters', 'resolved')
-    if not isinstance(told, dict) or not all(isinstance(told.get(name), dict) for name in names):
+    if not isinstance(data, dict) or not all(isinstance(data.get(name), dict) for name in names):
         raise InputError(
             'the observer that started this has not said how it reads its signals: it may have '
             'ended; --of-observer is for observers alone'
         )
-    return {name: told[name] for name in names}
+    return {name: data[name] for name in names}
 
 
 def _first_line(descriptor: int) -> bytes:

@@ -301,7 +301,9 @@ class _NothingHandler(_Handler):
 class _FileHandler(_Handler):
     """Sends one file, to whoever reads it."""
 
-    def initialize(self, own_names: frozenset[str], file: _OwnFile | _Plotly) -> None:  # type: ignore[override]
+    def initialize(  # type: ignore[override]
+        self, own_names: frozenset[str], file: _OwnFile | _Plotly
+    ) -> None:
         super().initialize(own_names)
         self._file = file
 
