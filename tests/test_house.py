@@ -40,7 +40,6 @@ EXCEPTIONS = {
 UNNAMED_ROOMS = (
     'context_nodes/measured_speed/',
     'context_nodes/rotor/',
-    'fit_test/monitor.py',
     'observer/motor_group.py',
     'observer/motor_observer.py',
     'observer/observer.py',

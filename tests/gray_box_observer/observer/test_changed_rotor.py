@@ -12,7 +12,8 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.fit_test.monitor import RECENT, RECENT_WAIT
+from gray_box_observer.fit_test.fit_schedule import RECENT_WAIT
+from gray_box_observer.fit_test.window_test import RECENT
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 

@@ -273,8 +273,11 @@ class MotorObserver:
             self._interval_s = sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
-            has_rotor = self._speed is not None
-            if has_rotor and not self._tests and self._fit.is_stale(self.context_nodes, 0):
+            if (
+                self._speed is not None
+                and not self._tests
+                and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
+            ):
                 self._tests.append((0, True))
             return None
         self.changed_motors = (
@@ -316,8 +319,9 @@ class MotorObserver:
 
         Who waits for nothing is tested when the sample's results are out.
         """
-        for motor in self._fit.due(self.context_nodes, estimate, self.changed_motors):
-            if self._fit.is_urgent(motor):
+        schedule = self._fit.schedule
+        for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
+            if schedule.is_urgent(motor):
                 self._test(motor, is_out=False)
             else:
                 self._tests.append((motor, False))
@@ -343,9 +347,8 @@ class MotorObserver:
         one = slice(motor, motor + 1)
         estimate = self.context_nodes.estimate(one)
         before = self._fit.judged(self.context_nodes, estimate, self._places[one])
-        self._fit.test(
-            self.context_nodes, estimate, motor, self.delay_of(motor), is_recent=is_recent
-        )
+        test = self._fit.test_newest if is_recent else self._fit.test
+        test(self.context_nodes, estimate, motor, self.delay_of(motor))
         self.speed_choice.wake()
         after = self._fit.judged(self.context_nodes, estimate, self._places[one])
         has_changed = before.verdicts != after.verdicts or not np.array_equal(
