@@ -43,7 +43,6 @@ UNNAMED_ROOMS = (
     'observer/motor_group.py',
     'observer/motor_observer.py',
     'observer/observer.py',
-    'observer/speed_choice.py',
     'predictor/rotor_predictor.py',
     'predictor/training/rotor_trainer.py',
     'ros/observer/',

@@ -16,9 +16,9 @@ from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.form_trial import CATCH_UP
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.speed_choice import CATCH_UP
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
@@ -242,18 +242,16 @@ def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver
     plain, arrays = copied(in_trial)
     arrays['speed/backlog'] = np.tile(arrays['nodes/replay'][:, :, -200:], (1, 1, 10))
     motor.restore(plain, arrays)
-    work, taken = motor.speed_choice._work, 0
-    assert work is not None
-    trial = motor.speed_choice._trial
+    trial, taken = motor.speed_choice._trial, 0
     assert trial is not None
     while True:
         try:
-            next(work)
+            next(trial.work)
         except StopIteration as end:
             form = end.value.form
             break
-        assert (trial.taken_count or 0) - taken <= CATCH_UP
-        taken = trial.taken_count or 0
+        assert (trial.adopted_count or 0) - taken <= CATCH_UP
+        taken = trial.adopted_count or 0
     assert form is not None
     assert len(trial.backlog) - CATCH_UP <= taken <= len(trial.backlog)
 

@@ -21,6 +21,13 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 
+THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
+"""Sources of a motor's speed."""
+
+OTHER = {THESIS: ROTOR, ROTOR: THESIS}
+
+IN_WORDS = {THESIS: 'a speed of Kt i', ROTOR: 'a rotor'}
+
 WORK_A_SAMPLE = 8
 """Work of a fit of the thesis's form, and of a test of the fit, for each of its samples."""
 
