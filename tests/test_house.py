@@ -22,7 +22,7 @@ PARTICIPLE = re.compile(
     'written'
 )
 NOUN = re.compile(
-    'damping|drawing|encoding|ending|feed|finding|grouping|heading|joining|listing|mapping|'
+    'coupling|damping|drawing|encoding|ending|feed|finding|grouping|heading|joining|listing|mapping|'
     'meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|training|'
     'warning|winding|writing'
 )
@@ -38,16 +38,9 @@ EXCEPTIONS = {
 """Participles that stay, by where."""
 
 UNNAMED_ROOMS = (
-    'context_nodes/measured_speed/',
-    'context_nodes/rotor/',
     'observer/motor_group.py',
     'observer/motor_observer.py',
     'observer/observer.py',
-    'predictor/rotor_predictor.py',
-    'predictor/training/rotor_trainer.py',
-    'ros/observer/',
-    'ros/watching/',
-    'watching/',
 )
 """Rooms whose bindings have not been gone through yet."""
 

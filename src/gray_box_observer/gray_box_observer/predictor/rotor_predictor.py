@@ -99,7 +99,7 @@ class RotorPredictor(TorquePredictor):
         self._p = np.empty(0)
         self._values: dict[str, float] = {}
         self._states: Array | None = None
-        self._waited = 0
+        self._wait_count = 0
         self._largest_v = LEAST_V
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> RotorPrediction:
@@ -148,9 +148,9 @@ class RotorPredictor(TorquePredictor):
         torque_nm = self._torque(path[-1])
         if not has_correction:
             return torque_nm
-        asked = path[-instants_s.size :]
-        request = self._request(np.array([horizon_s]), volt, theta, asked[-1])
-        path_nm = np.atleast_2d(self._white_box.output(asked[:, State.CURRENT]))
+        end_states = path[-instants_s.size :]
+        request = self._request(np.array([horizon_s]), volt, theta, end_states[-1])
+        path_nm = np.atleast_2d(self._white_box.output(end_states[:, State.CURRENT]))
         return torque_nm + self.residual.along(request, path_nm, memory)
 
     def advance(
@@ -163,7 +163,7 @@ class RotorPredictor(TorquePredictor):
         if math.isfinite(volt):
             self._largest_v = max(self._largest_v, volt)
         if anew[0]:
-            states, self._waited = None, 0
+            states, self._wait_count = None, 0
         elif states is None:
             states = self._begun(sample, speed)
         self._states = states
@@ -186,11 +186,11 @@ class RotorPredictor(TorquePredictor):
 
     def _begun(self, sample: Sample, speed: SpeedEstimate | None) -> Array | None:
         """Return the states that a run begins with; None where the speed is not yet known."""
-        self._waited += 1
+        self._wait_count += 1
         if speed is None or self._theta is None:
             return None
         most = SURE * self._largest_v / self._values['back_emf_constant']
-        if speed.std_rad_s > most and self._waited < LONGEST_WAIT:
+        if speed.std_rad_s > most and self._wait_count < LONGEST_WAIT:
             return None
         current_a = float(self._white_box.state(sample.torque_nm)[0])
         states = np.array([current_a, speed.speed_rad_s])

@@ -105,7 +105,7 @@ def _read_signals(line: bytes) -> dict[str, Any]:
         data = json.loads(line)
     except (ValueError, RecursionError):
         data = None
-    names = ('parameters', 'resolved')
+    names = ('parameters', 'topic_names')
     if not isinstance(data, dict) or not all(isinstance(data.get(name), dict) for name in names):
         raise InputError(
             'the observer that started this has not said how it reads its signals: it may have '

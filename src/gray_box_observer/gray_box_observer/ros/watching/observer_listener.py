@@ -55,7 +55,7 @@ class ObserverListener:
         self._node = node
         self._state = state
         self._clock = clock
-        self._wanted = frozenset(observers)
+        self._observer_names = frozenset(observers)
         self._estimates: dict[str, Subscription] = {}
         self._diagnostics = node.create_subscription(
             DIAGNOSTICS.type, DIAGNOSTICS.name, _unused, DIAGNOSTICS.qos
@@ -79,7 +79,7 @@ class ObserverListener:
             self._add_diagnostics(message, now_s)
 
     def _discover(self) -> None:
-        if self._wanted:
+        if self._observer_names:
             return
         for topic, types in self._node.get_topic_names_and_types():
             observer = topic.removesuffix(_LEAF)
