@@ -107,11 +107,15 @@ class GroupResult:
         return self.deferred.speed
 
     def __iter__(self) -> Iterator[Result]:
+        return iter(self.motor_results())
+
+    def motor_results(self) -> list[Result]:
+        """Return the result of every motor that the sample speaks of."""
         names = self.group.names
         if len(names) > 1:
-            return self._motor_by_motor()
+            return list(self._motor_by_motor())
         alarm, speed = bool(self.alarm[0]), self.deferred.speed
-        return iter((Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed),))
+        return [Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed)]
 
     def _motor_by_motor(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction

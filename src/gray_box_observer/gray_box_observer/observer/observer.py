@@ -199,7 +199,7 @@ class Observer:
         if result.group.is_stopped:
             return []
         try:
-            return list(result)
+            return result.motor_results()
         except ConfigurationError:
             raise
         except Exception as error:
