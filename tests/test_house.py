@@ -22,7 +22,7 @@ PARTICIPLE = re.compile(
     'written'
 )
 NOUN = re.compile(
-    'coupling|damping|drawing|encoding|ending|feed|finding|grouping|heading|joining|listing|mapping|'
+    'coupling|damping|drawing|encoding|ending|feed|finding|forecasting|grouping|heading|joining|listing|mapping|'
     'meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|training|'
     'warning|winding|writing'
 )

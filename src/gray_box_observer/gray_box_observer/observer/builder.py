@@ -29,7 +29,6 @@ from gray_box_observer.observer.motor_form import (
     MEASURED,
     ROTOR,
     THESIS,
-    Forecasting,
     MotorForm,
 )
 from gray_box_observer.observer.motor_observer import MotorObserver
@@ -37,6 +36,7 @@ from gray_box_observer.observer.scale_doubt import scale_doubt
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.predictor import (
     AlarmSettings,
+    Forecasting,
     Predictor,
     ResidualAlarm,
     RotorPredictor,
@@ -121,14 +121,11 @@ def _form(
             gap_s=configuration['gap_s'],
         )
 
-    def make_forecasting() -> Forecasting:
+    def make_forecasting() -> Forecasting | None:
         is_physics = configuration['variant'] == Variant.PHYSICS.value
         if training is None or (white_box.has_rotor and not is_physics):
-            return None, None  # the networks of the thesis know no hidden speed
-        predictor = _predictor(configuration, motors, white_box, training)
-        if not is_physics:
-            return predictor, None
-        return predictor, ResidualAlarm(len(motors), alarm_rules(configuration))
+            return None  # the networks of the thesis know no hidden speed
+        return _forecasting(configuration, motors, white_box, training)
 
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
@@ -274,12 +271,13 @@ def alarm_rules(configuration: Configuration) -> AlarmSettings:
     return AlarmSettings(**configuration.group('alarm'))
 
 
-def _predictor(
+def _forecasting(
     configuration: Configuration,
     motors: Sequence[MotorConfiguration],
     white_box: MotorWhiteBox,
     training: TrainingFactory,
-) -> TorquePredictor:
+) -> Forecasting:
+    """Make what predicts torque, is trained, and raises the alarm."""
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
@@ -299,13 +297,17 @@ def _predictor(
         'theta_reference': initial.tolist(),
         'seed': seed,
     }
+    is_physics = rules.variant is Variant.PHYSICS
+    alarm = ResidualAlarm(count, alarm_rules(configuration)) if is_physics else None
+    predictor: TorquePredictor
     if white_box.has_rotor:
-        return RotorPredictor(white_box, rules, training(job))
-    speed_measured = white_box.speed_measured
-    return Predictor(
-        white_box, count, initial, rules, training(job), speed_measured=speed_measured, seed=seed,
-        device=device
-    )  # fmt: skip
+        predictor = RotorPredictor(white_box)
+    else:
+        predictor = Predictor(
+            white_box, count, initial, rules, speed_measured=white_box.speed_measured, seed=seed,
+            device=device,
+        )  # fmt: skip
+    return Forecasting(predictor, rules, training(job), alarm)
 
 
 def _seed(configuration: Configuration, motor: MotorConfiguration) -> int:

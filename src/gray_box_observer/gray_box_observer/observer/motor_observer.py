@@ -24,7 +24,7 @@ from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
-from gray_box_observer.predictor import AlarmSettings, Prediction, ResidualAlarm, TorquePredictor
+from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.settings.configuration import MotorConfiguration
@@ -62,7 +62,7 @@ class MotorObserver:
     """White box, context nodes and predictor of motors that are sampled together.
 
     Whoever waits for a sample's prediction and estimates gets them first: alarm, scores and
-    training follow when something of them is asked for (:attr:`predictor`, :attr:`alarm`), with
+    training follow when something of them is asked for (:attr:`forecasting`, :attr:`alarm`), with
     :meth:`run_deferred`, or before the next sample. What comes of it is the same whenever that is.
 
     Args:
@@ -96,11 +96,11 @@ class MotorObserver:
         self.delay = form.delay
         self._fit = form.fit
         self._scales = form.scales
-        self._predictor, self._alarm = form.make_forecasting()
+        self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
-        self._precomputed: tuple[bytes, Prediction] | None = None
+        self._forecast_ahead: tuple[bytes, Prediction] | None = None
         self._is_identified = self._nobody
         nodes = form.context_nodes
         parameters = (
@@ -116,15 +116,16 @@ class MotorObserver:
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
-        if self._predictor is None:
+        if self._forecasting is None:
             return None
-        if self._predictor.training.due_next:
+        if self._forecasting.training.due_next:
             self.run_deferred()
         self._follow()
         request = interval_s.tobytes() + voltage_v.tobytes()
-        if self._precomputed is None or self._precomputed[0] != request:
-            self._precomputed = request, self._predictor.predict(interval_s, voltage_v, self._theta)
-        return self._precomputed[1]
+        if self._forecast_ahead is None or self._forecast_ahead[0] != request:
+            prediction = self._forecasting.predict(interval_s, voltage_v, self._theta)
+            self._forecast_ahead = request, prediction
+        return self._forecast_ahead[1]
 
     def precompute_forecast(self, voltage_v: Any) -> None:
         """Work out the next prediction while nobody waits for it; changes only its timing.
@@ -149,14 +150,14 @@ class MotorObserver:
             horizon_s: how long it is held.
             voltage_v: the voltage.
         """
-        if self.predictor is None:
+        if self.forecasting is None:
             return None
         since = (
             None
             if ahead is None
             else self.predict(*(np.full(self.motors, value) for value in ahead))
         )
-        return self.predictor.forecast(
+        return self.forecasting.forecast(
             horizon_s, np.full(self.motors, voltage_v), self._theta, since
         )
 
@@ -170,7 +171,7 @@ class MotorObserver:
         if self._deferred is not None or self._tests:
             self.run_deferred()
         prediction = (
-            None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
+            None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
         deferred = DeferredUpdate(
             sample, prediction, self._theta, self._covariance, self._is_identified
@@ -179,7 +180,7 @@ class MotorObserver:
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
             deferred.followed_speed = self._speed.estimate
-        if self._predictor is None and self.speed_choice.is_idle:
+        if self._forecasting is None and self.speed_choice.is_idle:
             deferred.alarm = self.alarmed  # nothing is left to be done
         else:
             self._deferred = deferred
@@ -204,13 +205,16 @@ class MotorObserver:
         self._follow()
         self._deferred = None
         sample, prediction = deferred.sample, deferred.prediction
-        if self._alarm is not None and prediction is not None:
-            self._alarm.update(
+        forecasting = self._forecasting
+        if forecasting is None or prediction is None:
+            deferred.alarm = self.alarmed
+            return
+        if forecasting.alarm is not None:
+            forecasting.alarm.update(
                 sample.torque_nm - prediction.torque_nm, sample.interval_s, deferred.identified
             )
         deferred.alarm = self.alarmed
-        if self._predictor is not None and prediction is not None:
-            self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
+        forecasting.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
 
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
@@ -228,8 +232,7 @@ class MotorObserver:
         """Observe the motor by another form, where there is one."""
         if form is None:
             return
-        if self._predictor is not None:
-            self._predictor.training.close()
+        self.close()
         self._use(form)
         self._retested[0] = True
         if self._live_settings is not None:
@@ -241,9 +244,9 @@ class MotorObserver:
         if deferred is None or deferred.is_followed:
             return
         deferred.is_followed = True
-        if self._predictor is not None and deferred.prediction is not None:
+        if self._forecasting is not None and deferred.prediction is not None:
             try:
-                self._predictor.advance(
+                self._forecasting.predictor.advance(
                     deferred.sample, deferred.prediction, deferred.followed_speed
                 )
             except (
@@ -253,22 +256,22 @@ class MotorObserver:
                 raise
 
     @property
-    def predictor(self) -> TorquePredictor | None:
-        """Forecasts torque, all samples learnt; None where there is none."""
+    def forecasting(self) -> Forecasting | None:
+        """Forecasts torque, all samples learnt; None where nothing does."""
         self.run_deferred()
-        return self._predictor
+        return self._forecasting
 
     @property
     def alarm(self) -> ResidualAlarm | None:
         """Watches the prediction's residual; None where no prediction is good enough."""
-        self.run_deferred()
-        return self._alarm
+        forecasting = self.forecasting
+        return None if forecasting is None else forecasting.alarm
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
         has_changed = self.context_nodes.learn(sample)
-        if self._predictor is not None:
-            self._precomputed = None
+        if self._forecasting is not None:
+            self._forecast_ahead = None
             self._evenly = np.array_equal(sample.interval_s, self._interval_s)
             self._interval_s = sample.interval_s
         if not has_changed:
@@ -383,8 +386,8 @@ class MotorObserver:
         self.run_deferred()
         self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
-        if self.predictor is not None:
-            self.predictor.training.freeze(is_frozen)
+        if self._forecasting is not None:
+            self._forecasting.training.freeze(is_frozen)
 
     @property
     def identified(self) -> bool:
@@ -435,16 +438,17 @@ class MotorObserver:
         self._know(self._believed(slice(None)), slice(None))
         if self.alarm is not None:
             self.alarm.rules = alarm
-        if self.predictor is not None:
-            self.predictor.training.share(core_share)
+        if self.forecasting is not None:
+            self.forecasting.training.share(core_share)
 
     @property
     def alarmed(self) -> NDArray[np.bool_]:
         """For which of these motors the alarm stands, shape (motor,)."""
-        if self._alarm is None:
+        alarm = None if self._forecasting is None else self._forecasting.alarm
+        if alarm is None:
             return self._nobody
         self.run_deferred()
-        return self._alarm.is_raised
+        return alarm.is_raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Restart with new context nodes from samples paired anew; the network trains on.
@@ -461,14 +465,15 @@ class MotorObserver:
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
         context_nodes.learn(samples[-1])
         self.context_nodes = context_nodes
-        if self.predictor is not None:
-            self.predictor.training.refill(content)
-        if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
-            self.alarm.relearn()
+        forecasting = self._forecasting
+        if forecasting is not None:
+            forecasting.training.refill(content)
+            if forecasting.alarm is not None:  # it has learnt residuals of the delay before
+                forecasting.alarm.relearn()
         self._fit.forget()
         self._retested.update(dict.fromkeys(range(self.motors), True))
         self._know(self._believed(slice(None)), slice(None))
-        self._precomputed = None
+        self._forecast_ahead = None
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""
@@ -485,7 +490,7 @@ class MotorObserver:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
         self.run_deferred()
         plain, arrays = self.context_nodes.state(motor)
-        network = {} if self.predictor is None else self.predictor.state(motor)
+        network = {} if self._forecasting is None else self._forecasting.state(motor)
         delay = (
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
@@ -511,8 +516,8 @@ class MotorObserver:
 
     def close(self) -> None:
         """Stop training."""
-        if self._predictor is not None:
-            self._predictor.training.close()
+        if self._forecasting is not None:
+            self._forecasting.training.close()
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor.
@@ -550,8 +555,8 @@ class MotorObserver:
             self._is_identified = self._is_identified.copy()
             self._is_identified[motor_slice] = plain['identified']
             self._known_parameters[motor_slice] = identified_flags
-        if self.predictor is not None:
-            self.predictor.restore(_group(arrays, 'network'), motor)
+        if self.forecasting is not None:
+            self.forecasting.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
             self.alarm.restore(alarm, motor)

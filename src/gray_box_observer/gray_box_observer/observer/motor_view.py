@@ -154,11 +154,11 @@ class MotorView:
     @property
     def training(self) -> TrainingView | None:
         """How its network is trained; None where there is no predictor."""
-        predictor = self.observer.predictor
-        if predictor is None:
+        forecasting = self.observer.forecasting
+        if forecasting is None:
             return None
-        size_nm = float(predictor.residual.size_nm[self.place])
-        training = predictor.training
+        size_nm = float(forecasting.predictor.residual.size_nm[self.place])
+        training = forecasting.training
         return TrainingView(training.failure, training.jobs_done, training.jobs_late, size_nm)
 
     @property

@@ -413,9 +413,9 @@ class Observer:
 
     @staticmethod
     def _skill(group: Group, place: int) -> Skill | None:
-        if group.observer is None or group.observer.predictor is None:
+        if group.observer is None or group.observer.forecasting is None:
             return None
-        return group.observer.predictor.scores.skill(place)
+        return group.observer.forecasting.scores.skill(place)
 
     @property
     def frozen(self) -> bool:

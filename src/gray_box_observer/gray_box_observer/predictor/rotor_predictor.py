@@ -19,11 +19,9 @@ from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.held_speed import held_speed_current
-from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import Recollection
 from gray_box_observer.predictor.steady_state import Course
 from gray_box_observer.predictor.torque_predictor import Prediction, TorquePredictor
-from gray_box_observer.predictor.training.training_backend import Training
 from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_arrays
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import State
@@ -83,17 +81,10 @@ class RotorPredictor(TorquePredictor):
 
     Args:
         white_box: its physics.
-        rules: settings.
-        training: where the residual is learnt.
     """
 
-    def __init__(
-        self, white_box: MotorWhiteBox, rules: TrainingSettings, training: Training
-    ) -> None:
-        parameters = len(white_box.parameters)
-        super().__init__(
-            white_box, 1, parameters, rules, training, NoNetwork(), speed_measured=False
-        )
+    def __init__(self, white_box: MotorWhiteBox) -> None:
+        super().__init__(white_box, 1, len(white_box.parameters), NoNetwork(), speed_measured=False)
         self._white_box = white_box
         self._theta: Array | None = None
         self._p = np.empty(0)
