@@ -37,11 +37,7 @@ EXCEPTIONS = {
 }
 """Participles that stay, by where."""
 
-UNNAMED_ROOMS = (
-    'observer/motor_group.py',
-    'observer/motor_observer.py',
-    'observer/observer.py',
-)
+UNNAMED_ROOMS = ('observer/motor_group.py',)
 """Rooms whose bindings have not been gone through yet."""
 
 

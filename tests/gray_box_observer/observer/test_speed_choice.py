@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
 
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Recording, Simulation
+from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -22,35 +21,9 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
-GEAR_MOTOR = PlantParameters(
-    inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
-    inertia=1e-5, viscous_friction=1e-5, coulomb_friction=8.4e-3,
-)  # fmt: skip
 THESIS_MOTOR = PlantParameters(
     inductance=8e-3, resistance=2.0, hysteresis=5.0, torque_constant=0.02, back_emf_constant=0.02
 )
-CONSTANTS = {'motor.torque_constant': 0.02, 'motor.back_emf_constant': 0.02}
-LIVELY = 'R[-12,12]D[0.05,0.5]'
-
-
-@cache
-def recorded(plant: PlantParameters, excitation: str, duration_s: float, seed: int) -> Recording:
-    """Record a motor at 1 kHz with 1 % noise, its speed unknown."""
-    simulation = Simulation(
-        {'motor': plant}, excitation, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
-        speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis',
-    )  # fmt: skip
-    return simulation.record(duration_s)
-
-
-def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0) -> int:
-    """Feed recordings one after another; return the stamp behind them."""
-    for recording in recordings:
-        for k, stamp in enumerate(recording.stamp_ns.tolist()):
-            observer.voltage('motor', begin_ns + stamp, float(recording.voltage_v[0, k]))
-            observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
-        begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
-    return begin_ns
 
 
 def observed(*recordings: Recording, **values: object) -> Observer:

@@ -378,8 +378,8 @@ class Observer:
         fit = self.fit(motor)
         if not 2 <= len(self.motors) <= MOST_COMPARED or fit.verdict is not FitVerdict.MISFIT:
             return None
-        tested, answer = self._mix_ups.get(motor, (None, None))
-        if tested != fit:  # asked once after every test that has found something else
+        last_fit, answer = self._mix_ups.get(motor, (None, None))
+        if last_fit != fit:  # asked once after every test that has found something else
             misfits = [n for n in self.motors if self.fit(n).verdict is FitVerdict.MISFIT]
             samples = {n: self.motors[n].newest(COMPARED) for n in (motor, *misfits)}
             answer = mix_up(motor, samples)
@@ -463,10 +463,10 @@ class Observer:
         try:
             for names in together:
                 self._grouping.gather(names)
-            affected = [
+            groups = [
                 group for group in self.every_group if any(name in states for name in group.names)
             ]
-            replacements.extend((group, self._make_restored(group, states)) for group in affected)
+            replacements.extend((group, self._make_restored(group, states)) for group in groups)
         except BaseException:
             for _, observer in replacements:
                 observer.close()
@@ -566,12 +566,12 @@ class Observer:
                         results[-1], estimate=again, changed=observer.changed_motors
                     )
                 continue
-            deferred, estimate = observer.step(sample)
+            update, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
                 GroupResult(
-                    group, sample, deferred.prediction, observer.changed_motors, estimate, deferred
+                    group, sample, update.prediction, observer.changed_motors, estimate, update
                 )
             )
             delay_s = None
