@@ -46,8 +46,9 @@ from gray_box_observer.predictor import (
     Variant,
 )
 from gray_box_observer.samples.pairing import PairingSettings
-from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.settings.parameters import KNOWN_PARAMETERS
 from gray_box_observer.white_box import MotorWhiteBox
 

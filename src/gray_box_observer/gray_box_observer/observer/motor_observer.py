@@ -18,15 +18,15 @@ from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
-from gray_box_observer.observer.belief import Belief
 from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -93,7 +93,7 @@ class MotorObserver:
         self.context_nodes = form.context_nodes
         self.delay = form.delay
         self._fit = form.fit
-        self._belief = Belief(form)
+        self._belief = ParameterBelief(form)
         self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
@@ -306,7 +306,7 @@ class MotorObserver:
     def retested(self) -> dict[int, bool]:
         """Return whose fit was tested since the last call, and whether their belief has changed.
 
-        Belief that has not gone out yet does not count as changed.
+        ParameterBelief that has not gone out yet does not count as changed.
         """
         self.run_deferred()
         retests, self._retests = self._retests, {}

@@ -40,8 +40,9 @@ from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Rejection
-from gray_box_observer.settings.configuration import NODE_NAME, Configuration
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
+from gray_box_observer.settings.ros_parameter_file import NODE_NAME
 from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
 
 DIAGNOSTICS_PERIOD_S = 1.0

@@ -17,7 +17,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float64MultiArray
 
 from gray_box_observer.ros.topics import DIAGNOSTICS, ESTIMATES
-from gray_box_observer.settings.configuration import NODE_NAME
+from gray_box_observer.settings.ros_parameter_file import NODE_NAME
 from gray_box_observer.watching.observer_state import MOST_OBSERVERS, WatchedState
 
 LOOK_ROUND_S = 0.25

@@ -129,7 +129,7 @@ def _check(
 
 def _watch_bag(options: argparse.Namespace, observers: tuple[str, ...]) -> None:
     """Show a bag."""
-    from gray_box_observer.settings.configuration import read_parameter_file
+    from gray_box_observer.settings.ros_parameter_file import read_parameter_file
     from gray_box_observer.watching.recorded_run import Playback, watch_bag
     from gray_box_observer.watching.table_display import TableDisplay
 

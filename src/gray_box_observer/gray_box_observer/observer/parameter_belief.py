@@ -21,7 +21,7 @@ from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
 
 
-class Belief:
+class ParameterBelief:
     """Holds what is believed of motors that are sampled together.
 
     ``theta``, ``covariance`` and ``is_identified`` are replaced, never written to: what was
