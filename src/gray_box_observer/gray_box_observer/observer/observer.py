@@ -563,7 +563,7 @@ class Observer:
                 again = observer.update_parameters(sample)
                 if again is not None and results:
                     results[-1] = replace(
-                        results[-1], estimate=again, changed=observer.changed_motors
+                        results[-1], estimate=again, changed_motors=observer.changed_motors
                     )
                 continue
             update, estimate = observer.step(sample)
@@ -587,7 +587,7 @@ class Observer:
                 )
                 estimate = observer.estimate()
                 results[-1] = replace(
-                    results[-1], estimate=estimate, changed=np.arange(len(group.names))
+                    results[-1], estimate=estimate, changed_motors=np.arange(len(group.names))
                 )
                 still = later_samples[::-1]
         return results

@@ -100,7 +100,7 @@ class Outputs:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
             if self._alarm and result.estimate is not None:
-                self._publish_changed(result.group, result.changed.tolist(), result.estimate)
+                self._publish_changed(result.group, result.changed_motors.tolist(), result.estimate)
 
     def _publish_speed(self, motor: str, stamp_ns: int, speed: SpeedEstimate | None) -> None:
         """Publish the speed of a motor with a rotor; of others, and in doubt, none is left."""
