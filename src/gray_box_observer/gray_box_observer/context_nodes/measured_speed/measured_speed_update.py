@@ -188,11 +188,6 @@ class MeasuredSpeedUpdate:
         """Whether the last sample has changed the estimate, shape (1,)."""
         return self._change_flags
 
-    @property
-    def noise_std_nm(self) -> Array:
-        """Standard deviation of the torque noise in N m, shape (1,)."""
-        return self._outputs.noise_std_nm if self._is_noisy else self._exact.noise_std_nm
-
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """What both rules have met, whether speed is taken for noisy, why, and how late it is."""
         counts = self._exact.counters(motor)

@@ -185,11 +185,6 @@ class RotorUpdate:
         """Standard deviation of the current's noise; 0 before the first fit."""
         return self._noise_a
 
-    @property
-    def noise_std_nm(self) -> Array:
-        """Standard deviation of the torque noise in N m, shape (1,); 0 before the first fit."""
-        return self._white_box.output(np.array([self._noise_a]))
-
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Fits, windows that no fit was found for, and changes of the motor."""
         return dict(self._counts)
