@@ -22,7 +22,7 @@ from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.saved_test import check_saved_test
 from gray_box_observer.fit_test.window_test import RECENT, WINDOW, MotorUnderTest, WindowTest
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

@@ -34,7 +34,7 @@ from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
+from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
