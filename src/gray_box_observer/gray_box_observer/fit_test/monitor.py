@@ -30,6 +30,7 @@ from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
     SCORE_DOUBT,
+    WHITENESS_ASKS,
     WHITENESS_DOUBT,
     Judgement,
     judge,
@@ -339,7 +340,7 @@ class FitMonitor:
             if judgement.verdict is not FitVerdict.MISFIT:
                 return
             suspicions.append(Suspect(CHANGE, analysis.whiteness, REMEDIES[CHANGE]))
-        if judgement.verdict is not FitVerdict.OK:
+        if judgement.verdict is not FitVerdict.OK or analysis.whiteness > WHITENESS_ASKS:
             explained = (
                 {}  # its balance has a speed that nobody measures
                 if white_box.has_rotor
@@ -347,7 +348,8 @@ class FitMonitor:
             )
             if _clearest(explained) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-            suspicions += self._suspects(analysis, explained, motor)
+            if judgement.verdict is not FitVerdict.OK:
+                suspicions += self._suspects(analysis, explained, motor)
         suspicions = [
             late[0] if late and suspect.effect == 'delay' else suspect for suspect in suspicions
         ] + late

@@ -26,11 +26,17 @@ RATIO_DOUBT = 2.5
 """The same where an effect that is left out explains a part of it: right motors reach 1.9, wrong
 ones begin at 2.9."""
 
-WHITENESS_WARNING = 3.0
+WHITENESS_ASKS = 3.0
+"""Whiteness from which the voltage balance is asked what is left out. White noise passes it 7 times
+in a million tests."""
+
+WHITENESS_WARNING = 5.0
+"""Whiteness that is a warning by itself: white noise passes it once in 1e12 tests. A speed that the
+fit of the whole motor gives is believed up to a whiteness of 4
+(:mod:`~gray_box_observer.context_nodes.measured_speed.output_fit`), and is no reason to warn."""
 
 WHITENESS_WIDENS = 10.0
-"""Whiteness from which the residual's correlation counts into standard deviations. A state that
-begins anew at one odd sample leaves up to 7."""
+"""Whiteness from which the residual's correlation counts into standard deviations."""
 
 WHITENESS_DOUBT = 25.0
 """Whiteness from which the residual's correlation counts with an effect as a misfit."""
