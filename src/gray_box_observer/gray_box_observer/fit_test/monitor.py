@@ -320,10 +320,13 @@ class FitMonitor:
         shift = inductance_shift(white_box, samples[:, 0], theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0], motor)
-        suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
+        doubted = doubts(white_box, samples[:, 0], theta[0], self._motors[motor])
+        suspicions = list(doubted.suspects)
         content = replay.newest(min(replay.stored(motor), WINDOW), one)
         is_duty = may_be_duty(content[VOLTAGE, 0])
-        sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
+        sheet = doubt_of_data_sheet(
+            self._motors[motor], estimate, self._quantity, doubted.balance, is_duty=is_duty
+        )
         if sheet is not None and not suspicions:
             suspicions.append(sheet)
         noise_a = analysis.moving_noise_a or (0.0 if before is None else before.noise_a)
