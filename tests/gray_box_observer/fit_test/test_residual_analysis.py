@@ -19,9 +19,16 @@ from linear_motor_records import (
 from scipy.stats import chi2
 
 from gray_box_observer.context_nodes.measured_speed import output_fit
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.fit_test import FitVerdict, residual_analysis
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.policy import FEW_PERIODS, WHITENESS_WARNING, judge
+from gray_box_observer.fit_test.policy import (
+    FEW_PERIODS,
+    RATIO_SPREAD,
+    RATIO_WARNING,
+    WHITENESS_WARNING,
+    judge,
+)
 from gray_box_observer.fit_test.residual_analysis import (
     LAGS,
     analyse,
@@ -107,6 +114,22 @@ def test_a_run_that_begins_anew_many_times_leaves_a_white_residual(every: int) -
 
 def test_a_speed_that_a_fit_gives_is_not_tested_more_strictly_than_it_is_believed() -> None:
     assert WHITENESS_WARNING > output_fit.COLOURED
+    assert RATIO_WARNING >= output_fit.POOR
+
+
+@pytest.mark.parametrize('samples', [64, 256, 1024])
+def test_a_ratio_that_comes_by_chance_is_no_warning(samples: int) -> None:
+    ratios = []
+    for seed in range(200):
+        residual = np.random.default_rng(seed).standard_normal(samples)
+        ratios.append(float(np.sqrt(np.mean(residual**2))) / difference_noise(residual))
+    assert np.std(ratios) * np.sqrt(samples) == pytest.approx(RATIO_SPREAD / 5.5, rel=0.3)
+    white = analyse(WHITE_BOX, TRUTH, _record(1).stretch)
+    for far, verdict in ((5.0, FitVerdict.OK), (20.0, FitVerdict.WARNING)):
+        ratio = max(1.0 + far / np.sqrt(samples), 1.25 if far < 6.0 else 1.35)
+        found = replace(white, samples=samples, ratio=ratio, scores=())
+        judgement = judge(found, np.full(2, 0.01), 64, speed_measured=True, stamps_exact=True)
+        assert judgement.verdict is verdict
 
 
 def test_an_offset_of_the_current_stands_out_though_the_residual_stays_small() -> None:

@@ -30,9 +30,9 @@ from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
     SCORE_DOUBT,
-    WHITENESS_ASKS,
     WHITENESS_DOUBT,
     Judgement,
+    is_dubious,
     judge,
     shows_change,
     with_shift,
@@ -343,7 +343,7 @@ class FitMonitor:
             if judgement.verdict is not FitVerdict.MISFIT:
                 return
             suspicions.append(Suspect(CHANGE, analysis.whiteness, REMEDIES[CHANGE]))
-        if judgement.verdict is not FitVerdict.OK or analysis.whiteness > WHITENESS_ASKS:
+        if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
             explained = (
                 {}  # its balance has a speed that nobody measures
                 if white_box.has_rotor
