@@ -28,8 +28,8 @@ MAX_WAITING_VOLTAGES = 10_000
 FAR = 5.0
 """Usual moves from one voltage to the next that are far: so far it moves, if ever, at steps."""
 
-SHARE = 0.02
-"""By which the usual move follows."""
+USUAL = 50
+"""Newest voltages whose moves are the usual ones."""
 
 DUE = 1.1
 """Usual intervals after which the next voltage was due: the usual interval itself moves by 2 %."""
@@ -74,7 +74,7 @@ class HeldVoltage:
     def __init__(self, blank: Any) -> None:
         self._blank = blank
         self._rhythm = Rhythm()
-        self._usual_move_v: Any = 0.0
+        self._newest_voltages: deque[Any] = deque(maxlen=USUAL)
         self.restart()
 
     def restart(self) -> None:
@@ -119,27 +119,22 @@ class HeldVoltage:
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
-            loss = self._move(voltage_v, rhythm.loses(interval_s))
+            if rhythm.loses(interval_s):
+                loss = self._loss(voltage_v)
             rhythm.update(interval_s)
         self.newest_ns = stamp_ns
+        self._newest_voltages.append(voltage_v)
         self._future_voltages.append((stamp_ns, voltage_v, pause, loss))
         if (
             len(self._future_voltages) > MAX_WAITING_VOLTAGES
         ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
-    def _move(self, voltage_v: Any, has_loss: bool) -> _Loss | None:
-        """Note how far the voltage has moved; return what that makes of samples that were lost."""
-        move_v = abs(voltage_v - self.newest_v)
-        if isinstance(move_v, np.ndarray):
-            move_v = np.where(np.isnan(move_v), 0.0, move_v)
-        elif math.isnan(move_v):
-            move_v = 0.0
-        usual_move_v = self._usual_move_v
-        self._usual_move_v = usual_move_v + SHARE * (move_v - usual_move_v)
-        if not has_loss:
-            return None
-        is_far = move_v > FAR * usual_move_v
+    def _loss(self, voltage_v: Any) -> _Loss | None:
+        """Return what a voltage that comes after lost samples makes of these; None: nothing."""
+        moves_v = np.abs(np.diff([*self._newest_voltages, voltage_v], axis=0))
+        moves_v[np.isnan(moves_v)] = 0.0
+        is_far = moves_v[-1] > FAR * moves_v[:-1].mean(axis=0)
         assert self.newest_ns is not None
         since_ns = self.newest_ns + nanoseconds(DUE * self._rhythm.usual_s)
         return _Loss(since_ns, is_far) if np.any(is_far) else None
