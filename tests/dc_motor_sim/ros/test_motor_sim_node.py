@@ -323,11 +323,17 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(peer, 
         codes.append(code)
         said.append(err)
     assert codes == [0, 2]
-    assert (
-        'no parameter of motor_sim, ignored: gap_s, m_1.initial.resistance, m_2.resistance; '
-        in said[0]
-    )
+    assert 'no parameter of motor_sim, ignored: m_2.resistance; ' in said[0]
+    assert 'gap_s' not in said[0]  # another node's, by the wildcard
     assert 'm_1.resistence (did you mean m_1.resistance?)' in said[1]
+
+
+def test_a_section_that_names_the_simulator_holds_nothing_but_its_parameters(peer, tmp_path):
+    path = tmp_path / 'own.yaml'
+    path.write_text('motor_sim:\n  ros__parameters: {duration_s: 0.1, gap_s: 1.0}\n')
+    code, _, said = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)
+    assert code == 0
+    assert 'no parameter of motor_sim, ignored: gap_s; ' in said
 
 
 def test_help_names_the_parameters_and_starts_nothing(peer):

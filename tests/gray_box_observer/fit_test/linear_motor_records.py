@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +43,8 @@ class Record:
             current_a, voltage_v, np.full(voltage_v.shape, INTERVAL_S), 0.0 * current_a, restart
         )
 
-    def observed(self, **motor: object) -> Observer:
-        """Return an observer that has learnt the record."""
+    def observed(self, lost: Collection[int] = (), **motor: object) -> Observer:
+        """Return an observer that has learnt the record, but for voltages that were lost."""
         values = {
             'torque_constant': TORQUE_CONSTANT,
             'back_emf_constant': 1e-6,
@@ -55,7 +56,8 @@ class Record:
             zip(self.voltage_v, self.current_a, strict=True)
         ):
             stamp_ns = round(sample * INTERVAL_S * 1e9)
-            observer.voltage('motor', stamp_ns, float(voltage_v))
+            if sample not in lost:
+                observer.voltage('motor', stamp_ns, float(voltage_v))
             observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
         observer.flush()
         return observer
@@ -69,9 +71,9 @@ def steps(samples: int, seed: int, low_v: float = -12.0, high_v: float = 12.0) -
     return np.repeat(levels, holds)[:samples]
 
 
-def current_of(voltage_v: Floats) -> Floats:
+def current_of(voltage_v: Floats, inductance_h: float = INDUCTANCE_H) -> Floats:
     """Current of the blocked motor at every sample, exactly."""
-    decay = np.exp(-INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H)
+    decay = np.exp(-INTERVAL_S * RESISTANCE_OHM / inductance_h)
     return np.asarray(lfilter([0.0, (1.0 - decay) / RESISTANCE_OHM], [1.0, -decay], voltage_v))
 
 

@@ -10,7 +10,10 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.data_doubts import doubts
+from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array
 
@@ -106,7 +109,7 @@ def _effects(plant: PlantParameters, samples: Array, speed: bool = True, **given
     white_box = motor.white_box(speed_measured=speed)
     truth = {'inductance': plant.inductance, 'resistance': plant.resistance}
     theta = np.array([truth.get(name, 1.0) for name in white_box.context_nodes])
-    return [suspect.effect for suspect in doubts(white_box, samples, theta, motor)]
+    return [suspect.effect for suspect in doubts(white_box, samples, theta, motor).suspects]
 
 
 def _scaled(samples: Array, row: int, factor: float) -> Array:
@@ -176,6 +179,46 @@ def test_a_flipped_torque_is_told(k: int) -> None:
     assert _effects(plant, _scaled(samples, TORQUE, -1.0)) == ['torque_sign']
 
 
+def _sheet_doubt(
+    k: int, samples: Array, quantity: str, sheet_ohm: float, relative_std: float = 0.3
+) -> Suspect | None:
+    """Return the doubt of a motor of which a short record has identified nothing yet."""
+    plant, _ = _gear_motors()[k]
+    stated = {
+        'torque_constant': plant.torque_constant,
+        'back_emf_constant': plant.back_emf_constant,
+        'initial.resistance': sheet_ohm,
+        'initial_relative_std.resistance': relative_std,
+    }
+    values = {f'motor.{name}': value for name, value in stated.items()}
+    motor = Configuration.from_flat(values).motors['motor']
+    white_box = motor.white_box(speed_measured=True)
+    names = white_box.parameters
+    estimate = Estimate(
+        0,
+        names,
+        np.ones((1, len(names))),
+        np.eye(len(names))[None],
+        ((Verdict.CONVERGING,) * len(names),),
+    )
+    balance = doubts(white_box, samples, np.ones(len(names)), motor).balance
+    return doubt_of_data_sheet(motor, estimate, quantity, balance, is_duty=False)
+
+
+@drawn_motor
+def test_a_short_record_contradicts_its_data_sheet_before_anything_is_identified(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    samples = samples[:, :600]
+    for sheet_ohm in (0.6 * plant.resistance, plant.resistance, 1.6 * plant.resistance):
+        assert _sheet_doubt(k, samples, 'torque', sheet_ohm) is None
+    as_current = _scaled(samples, TORQUE, 1.0 / plant.torque_constant)  # a current taken for torque
+    if plant.torque_constant < 0.2:  # that a sheet to 30 % contradicts for sure
+        suspect = _sheet_doubt(k, as_current, 'torque', plant.resistance)
+        assert suspect is not None
+        assert 'torque.quantity: current' in suspect.remedy
+        assert _sheet_doubt(k, as_current, 'torque', plant.resistance, 0.0) is None, 'no sheet'
+
+
 @drawn_motor
 @pytest.mark.parametrize(('unit', 'factor'), [('deg/s', 57.296), ('rpm', 9.5493), ('Hz', 0.159155)])
 def test_a_speed_in_another_unit_is_told_by_kb(k: int, unit: str, factor: float) -> None:
@@ -184,7 +227,7 @@ def test_a_speed_in_another_unit_is_told_by_kb(k: int, unit: str, factor: float)
     values = {name: getattr(plant, name) for name in ('torque_constant', 'back_emf_constant')}
     motor = Configuration.from_flat({f'motor.{n}': v for n, v in values.items()}).motors['motor']
     white_box = motor.white_box(speed_measured=True)
-    first = doubts(white_box, _scaled(samples, SPEED, factor), np.ones(3), motor)[0]
+    first = doubts(white_box, _scaled(samples, SPEED, factor), np.ones(3), motor).suspects[0]
     assert first.remedy.startswith(f'speed.scale: {1.0 / factor:.3g}'[:17])
     assert unit in first.remedy
 
@@ -219,7 +262,7 @@ def test_a_forgotten_kb_is_told_with_its_value(k: int) -> None:
     motor = Configuration.from_flat({'motor.torque_constant': plant.torque_constant}).motors[
         'motor'
     ]
-    found = doubts(motor.white_box(speed_measured=True), samples, np.ones(3), motor)
+    found = doubts(motor.white_box(speed_measured=True), samples, np.ones(3), motor).suspects
     assert [suspect.effect for suspect in found] == ['back_emf_constant']
     told = float(found[0].remedy.split()[1])
     assert told == pytest.approx(plant.back_emf_constant, rel=0.1)

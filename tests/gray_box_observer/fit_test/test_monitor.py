@@ -49,6 +49,18 @@ def test_a_motor_that_the_white_box_explains_is_identified_and_its_fit_is_ok() -
 
 
 @pytest.mark.slow
+def test_voltages_that_were_lost_at_steps_are_not_the_motor_s_fault() -> None:
+    """Each moves a slow current by no more than its noise, which no jump of the state tells."""
+    voltage_v = steps(SAMPLES, 1)
+    current_a = current_of(voltage_v, inductance_h=0.4)
+    record = Record(voltage_v, current_a + noise(SAMPLES, 0.02, 51))
+    moves = np.flatnonzero(np.diff(voltage_v)) + 1
+    motor = record.observed(lost=set(moves[moves > 100][::3].tolist())).motors['motor']
+    assert motor.fit.verdict is FitVerdict.OK
+    assert motor.estimate.identified(0)
+
+
+@pytest.mark.slow
 def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> None:
     motor = _free_rotor().observed(speed_source='torque_constant').motors['motor']
     assert motor.fit.verdict is FitVerdict.MISFIT

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_motor_records import (
+    RESISTANCE_OHM,
     TRUTH,
     WHITE_BOX,
     Record,
@@ -15,11 +16,21 @@ from linear_motor_records import (
     noise,
     steps,
 )
+from scipy.stats import chi2
 
+from gray_box_observer.context_nodes.measured_speed import output_fit
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.fit_test import FitVerdict, residual_analysis
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.policy import FEW_PERIODS, judge
+from gray_box_observer.fit_test.policy import (
+    FEW_PERIODS,
+    RATIO_SPREAD,
+    RATIO_WARNING,
+    WHITENESS_WARNING,
+    judge,
+)
 from gray_box_observer.fit_test.residual_analysis import (
+    LAGS,
     analyse,
     bandwidth,
     ljung_box,
@@ -73,6 +84,52 @@ def test_what_is_no_number_is_no_fit() -> None:
             unknown, np.full(2, 0.01), SAMPLES, speed_measured=False, stamps_exact=True
         ).verdict
         assert verdict is FitVerdict.MISFIT, part
+
+
+@pytest.mark.parametrize(
+    ('whiteness', 'verdict'), [(4.0, FitVerdict.OK), (6.0, FitVerdict.WARNING)]
+)
+def test_a_warning_by_whiteness_is_rarer_than_a_motor_is_tested(whiteness, verdict) -> None:
+    white = replace(analyse(WHITE_BOX, TRUTH, _record(1).stretch), whiteness=whiteness, scores=())
+    judgement = judge(white, np.full(2, 0.01), SAMPLES, speed_measured=True, stamps_exact=True)
+    assert judgement.verdict is verdict
+    # half a million tests, of two wheels over a year
+    false_rate = chi2.sf(LAGS * WHITENESS_WARNING, LAGS)
+    assert false_rate < 1e-3 / 500_000
+
+
+@pytest.mark.parametrize('every', [100, 500])
+def test_a_run_that_begins_anew_many_times_leaves_a_white_residual(every: int) -> None:
+    """The noise of one reading would last for 200 samples, behind each restart anew."""
+    inductance_h = 0.4
+    voltage_v = steps(SAMPLES, 1)
+    current_a = current_of(voltage_v, inductance_h) + noise(SAMPLES, STD_A, 60)
+    whole = Record(voltage_v, current_a).stretch
+    stretch = whole.restarted(np.arange(SAMPLES - 1)[None] % every == every - 1)
+    p = np.array([[1.0 / inductance_h, RESISTANCE_OHM / inductance_h]])
+    analysis = analyse(WHITE_BOX, p, stretch)
+    assert analysis.whiteness < 2.0
+    assert analysis.ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_speed_that_a_fit_gives_is_not_tested_more_strictly_than_it_is_believed() -> None:
+    assert WHITENESS_WARNING > output_fit.COLOURED
+    assert RATIO_WARNING >= output_fit.POOR
+
+
+@pytest.mark.parametrize('samples', [64, 256, 1024])
+def test_a_ratio_that_comes_by_chance_is_no_warning(samples: int) -> None:
+    ratios = []
+    for seed in range(200):
+        residual = np.random.default_rng(seed).standard_normal(samples)
+        ratios.append(float(np.sqrt(np.mean(residual**2))) / difference_noise(residual))
+    assert np.std(ratios) * np.sqrt(samples) == pytest.approx(RATIO_SPREAD / 5.5, rel=0.3)
+    white = analyse(WHITE_BOX, TRUTH, _record(1).stretch)
+    for far, verdict in ((5.0, FitVerdict.OK), (20.0, FitVerdict.WARNING)):
+        ratio = max(1.0 + far / np.sqrt(samples), 1.25 if far < 6.0 else 1.35)
+        found = replace(white, samples=samples, ratio=ratio, scores=())
+        judgement = judge(found, np.full(2, 0.01), 64, speed_measured=True, stamps_exact=True)
+        assert judgement.verdict is verdict
 
 
 def test_an_offset_of_the_current_stands_out_though_the_residual_stays_small() -> None:

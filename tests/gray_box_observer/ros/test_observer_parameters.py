@@ -267,12 +267,24 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, t
     rig.peer.wait(lambda: rig.status('m_1'), 'the diagnostics of m_1')
     code, _, said = rig.peer.end(rig.process)
     assert code == 0
-    assert 'not of this node, ignored: m_2.torque_constant, robot_radius; --help' in said
+    assert 'not of this node, ignored: m_2.torque_constant; --help' in said
+    assert 'robot_radius' not in said  # another node's, by the wildcard
     path.write_text(f'{own}    checkpoint: {{resum: true}}\n')
     rig.start('--ros-args', '--params-file', str(path))
     code, _, said = rig.peer.end(rig.process, None)
     assert code == 2
     assert 'checkpoint.resum (did you mean checkpoint.resume?)' in said
+
+
+def test_a_section_that_names_the_node_holds_nothing_but_its_parameters(rig, tmp_path):
+    path = tmp_path / 'own.yaml'
+    section = 'ros__parameters:\n    motors: [m_1]\n    robot_radius: 1.0\n'
+    path.write_text(f'gray_box_observer:\n  {section}')
+    rig.start('--ros-args', '--params-file', str(path))
+    rig.peer.wait(lambda: rig.status('m_1'), 'the diagnostics of m_1')
+    code, _, said = rig.peer.end(rig.process)
+    assert code == 0
+    assert 'not of this node, ignored: robot_radius; --help' in said
 
 
 def test_help_lists_every_parameter(peer):

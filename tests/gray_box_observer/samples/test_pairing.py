@@ -291,6 +291,63 @@ def test_a_lost_message_is_no_silence() -> None:
     assert max(float(s.interval_s[0]) for s in samples) == 0.15
 
 
+def _stepped(lost: Iterable[int], base_v: float = 0.0) -> list[tuple[int, Event]]:
+    """Voltages every 10 ms with steps at 200 and 300, without those that were lost, and torques."""
+    levels_v = base_v + np.repeat([1.0, 8.0, 2.0], [200, 100, 100])
+    voltages = [(k, ('v', 10 * k, float(v))) for k, v in enumerate(levels_v) if k not in lost]
+    torques: list[tuple[int, Event]] = [(k, ('t', 10 * k, 0.1)) for k in range(levels_v.size)]
+    return sorted(voltages + torques)
+
+
+def test_a_voltage_that_was_lost_at_a_step_is_not_known_and_one_between_steps_is() -> None:
+    lost = {100, 200, 250, 299, 300}
+    samples = feed(Pairing(), [event for _, event in _stepped(lost)])
+    assert len(samples) == 400
+    begins = [round(s.stamp_ns / MS) // 10 for s in samples if s.interval_s[0] == 0.0]
+    assert begins == [0, 201, 300, 301]  # the second step came in one of two lost samples
+    before, after = samples[200], samples[202]
+    assert (float(before.voltage_v[0]), float(after.voltage_v[0])) == (1.0, 8.0)
+
+
+def test_of_a_voltage_that_moves_all_the_time_a_lost_sample_is_held_over() -> None:
+    voltages, torques = steady(400)
+    lost = [event for k, event in enumerate(voltages) if k not in (150, 230, 310)]
+    samples = feed(Pairing(), sorted(lost + torques, key=lambda event: (event[1], event[0])))
+    assert sum(s.interval_s[0] == 0.0 for s in samples) == 1
+
+
+def test_a_voltage_that_comes_when_it_changes_has_lost_nothing() -> None:
+    rng = np.random.default_rng(3)
+    at_ms = np.cumsum(rng.exponential(50.0, 300)) // 1 + np.arange(300)
+    volts = np.where(rng.random(300) < 0.1, 10.0, 1.0) + 0.01 * rng.random(300)
+    voltages: list[Event] = [('v', int(t), float(v)) for t, v in zip(at_ms, volts, strict=True)]
+    torques: list[Event] = [('t', k, 0.1) for k in range(int(at_ms[0]), int(at_ms[-1]))]
+    samples = feed(Pairing(), sorted(voltages + torques, key=lambda event: event[1]))
+    assert sum(s.interval_s[0] == 0.0 for s in samples) < 0.01 * len(samples)
+
+
+def test_of_a_group_only_the_motor_whose_voltage_moved_begins_anew() -> None:
+    pairing, samples = Pairing(motors=2), []
+    for k in range(300):
+        if k != 200:
+            voltage_v = np.array([1.0 if k < 200 else 8.0, 3.0])
+            samples += pairing.voltage(10 * k * MS, voltage_v)
+        samples += pairing.torque(10 * k * MS, np.array([0.1, 0.2]))
+    begins = np.array([sample.interval_s == 0.0 for sample in samples])
+    assert begins[1:].sum(axis=0).tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(('lost', 'is_foreseen'), [(200, False), (150, True)])
+def test_nothing_is_foreseen_over_a_voltage_that_was_lost_at_a_step(
+    lost: int, is_foreseen: bool
+) -> None:
+    pairing = Pairing()
+    feed(pairing, [event for k, event in _stepped({lost}) if k <= lost])
+    next_ns = 10 * (lost + 1) * MS
+    pairing.voltage(next_ns, 8.0 if lost == 200 else 1.0)
+    assert (pairing.ahead(next_ns) is not None) == is_foreseen
+
+
 def test_a_silence_of_just_the_gap_is_still_an_interval() -> None:
     samples = feed(
         Pairing(PairingSettings(gap_s=0.5)),

@@ -44,3 +44,15 @@ def test_another_rate_becomes_the_usual_one() -> None:
     for _ in range(1000):
         rhythm.update(0.01)
     assert rhythm.missing_count == before
+
+
+def test_a_periodic_signal_loses_samples_and_one_that_comes_at_random_does_not() -> None:
+    random = np.random.default_rng(7)
+    kept = np.flatnonzero(random.random(3000) > 0.05)
+    periodic = after(0.01 * np.diff(kept))
+    assert periodic.loses(0.02)
+    assert periodic.loses(0.19)
+    assert not periodic.loses(0.015)
+    assert not periodic.loses(0.25), 'a silence'
+    assert not after(random.exponential(0.01, 3000)).loses(0.05)
+    assert not after(np.full(5, 0.01)).loses(0.02), 'no habit yet'

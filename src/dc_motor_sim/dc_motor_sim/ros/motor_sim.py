@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from array import array
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -65,13 +65,13 @@ class MotorSim(Node):
     """Wires a `Simulation` to topics, parameters and the wall clock.
 
     Args:
-        command_line_names: Names of parameters on the command line.
+        args: The command line.
 
     Raises:
         SimulationError: A parameter it was started with cannot be used.
     """
 
-    def __init__(self, command_line_names: Collection[str] = ()) -> None:
+    def __init__(self, args: Sequence[str] = ()) -> None:
         super().__init__('motor_sim')
         settings = parameters.declare(self)
         self.is_finished = False
@@ -101,7 +101,7 @@ class MotorSim(Node):
         )
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
-        parameters.settle_unread(self, command_line_names)
+        parameters.settle_unread(self, args)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
@@ -364,7 +364,7 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
                 '--help'
             )
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-        node = MotorSim(command_line.parameter_names(argv))
+        node = MotorSim(argv)
         if kept_here:
             node.get_logger().info(discovery.OPENED_BY)
     except rclpy_implementation.UnknownROSArgsError as error:

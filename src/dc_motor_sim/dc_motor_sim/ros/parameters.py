@@ -7,7 +7,7 @@ live; all others are read-only.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from difflib import SequenceMatcher, get_close_matches
 from typing import Any
@@ -18,6 +18,8 @@ from rclpy.node import Node
 from dc_motor_sim.errors import ConfigurationError, PlantError
 from dc_motor_sim.plant import SPEED_MODES, PlantParameters
 from dc_motor_sim.quantity import Quantity, about, check_fields, quantity_of
+from dc_motor_sim.ros.command_line import parameter_names
+from dc_motor_sim.ros.parameter_sections import names_of_node
 from dc_motor_sim.simulation import Simulation
 
 _RANGE = re.compile(r'([A-Za-z][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
@@ -348,15 +350,17 @@ def _check_names(motors: tuple[str, ...]) -> None:
             )
 
 
-def settle_unread(node: Node, command_line_names: Container[str]) -> None:
+def settle_unread(node: Node, args: Sequence[str]) -> None:
     """Refuse parameters that nothing has asked for, once everything has been declared.
 
     A name on the command line is meant for this node. A parameter file may serve several nodes: of
-    its names only slips of our own are refused, and of others the log warns.
+    its names only slips of our own are refused. Of others the log warns where the file's section
+    names this node, or where a name is our own but for its motor, which is not listed. What else
+    stands below a wildcard is that of other nodes.
 
     Args:
         node: To which they were given.
-        command_line_names: Names on the command line.
+        args: The command line.
 
     Raises:
         ConfigurationError: One of them was meant for this node; says which of ours comes nearest.
@@ -367,6 +371,7 @@ def settle_unread(node: Node, command_line_names: Container[str]) -> None:
     # A motor that is not listed may be one of another node: only one that is bare can be meant.
     stated_groups = {name.partition('.')[0] for name in overrides}
     bare = {name.partition('.')[0] for name in declared_names} - stated_groups
+    command_line_names = parameter_names(args)
     slips: list[str] = []
     for name in unread:
         group = name.partition('.')[0]
@@ -384,10 +389,22 @@ def settle_unread(node: Node, command_line_names: Container[str]) -> None:
         raise ConfigurationError(
             f'no parameter of motor_sim: {", ".join(slips[:_MOST_TOLD])}; --help lists them'
         )
-    if unread:
+    own_section_names = names_of_node(args, node.get_name()) if unread else set()
+    fields_of_motor = {field.name for field in fields(PlantParameters)}
+    dubious = [
+        name
+        for name in unread
+        if name in own_section_names or name.partition('.')[2] in fields_of_motor
+    ]
+    if dubious:
         node.get_logger().warning(
-            f'no parameter of motor_sim, ignored: {", ".join(unread[:_MOST_TOLD])}; --help lists '
+            f'no parameter of motor_sim, ignored: {", ".join(dubious[:_MOST_TOLD])}; --help lists '
             'them'
+        )
+    others = sorted(set(unread) - set(dubious))
+    if others:
+        node.get_logger().debug(
+            f'of other nodes, by a wildcard in a parameter file: {", ".join(others[:_MOST_TOLD])}'
         )
 
 

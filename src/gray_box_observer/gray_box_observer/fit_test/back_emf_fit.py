@@ -93,6 +93,12 @@ class BackEmfFit:
         surely = self.resistance < -SURE * self.resistance_std
         return surely and self.residual_share < UNEXPLAINED
 
+    @property
+    def has_sure_resistance(self) -> bool:
+        """Tell whether the balance closes with a resistance that is surely positive."""
+        surely = self.resistance > SURE * self.resistance_std
+        return surely and self.residual_share < UNEXPLAINED
+
     def contradicts(self, kb: float) -> bool:
         """Tell whether another Kb is ruled out, with an effect that the parameters would show."""
         away = abs(self.kb - kb)

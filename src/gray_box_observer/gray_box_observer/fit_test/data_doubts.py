@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,10 +93,23 @@ FEWEST_CLIPPED = 30
 chance."""
 
 
+@dataclass(frozen=True, slots=True)
+class Doubts:
+    """Likely errors in one motor's data or declarations.
+
+    Attributes:
+        suspects: the surest first.
+        balance: its voltage balance with Kb free; None where Kb cannot be told.
+    """
+
+    suspects: tuple[Suspect, ...]
+    balance: BackEmfFit | None
+
+
 def doubts(
     white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorConfiguration
-) -> tuple[Suspect, ...]:
-    """Return likely errors in one motor's data or declarations, the surest first.
+) -> Doubts:
+    """Return likely errors in one motor's data or declarations.
 
     A doubt stands before every other suspect, and with one nothing of the motor may be called
     identified: wrong units leave no residual.
@@ -110,15 +124,16 @@ def doubts(
     needed_rows = samples if white_box.speed_measured else samples[:SPEED]
     samples = samples[:, np.isfinite(needed_rows).all(axis=0)]
     if samples.shape[1] < FEWEST_SAMPLES:
-        return ()
+        return Doubts((), None)
     time = _doubt_of_time(samples, motor)
     balance = fit_back_emf(white_box, samples) if white_box.speed_measured else None
     voltage = _doubt_of_voltage(samples, balance, motor)
     current = None if voltage else _doubt_of_current(white_box, samples, balance, theta, motor)
     findings = [suspect for suspect in (time, voltage, current) if suspect is not None]
     if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
-        return tuple(findings)
-    return (*findings, *_doubts_of_back_emf(white_box, balance, motor))
+        return Doubts(tuple(findings), balance)
+    of_back_emf = _doubts_of_back_emf(white_box, balance, motor)
+    return Doubts((*findings, *of_back_emf), balance)
 
 
 def may_be_duty(voltage_v: Array) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.fit_test.back_emf_fit import BackEmfFit
 from gray_box_observer.fit_test.data_doubts import (
     DUTY_REMEDY,
     FAR_FROM_SHEET,
@@ -32,7 +33,9 @@ NEARER = 4.0
 
 DEFAULTS = {spec.name: spec.default for spec in MOTOR_PARAMETERS}
 
-SCALED_BY_CURRENT = ('inductance', 'resistance')
+RESISTANCE = 'resistance'
+
+SCALED_BY_CURRENT = ('inductance', RESISTANCE)
 """Parameters that a current taken for a torque changes by the factor Kt."""
 
 UNIT_HINTS = {
@@ -71,21 +74,25 @@ def contradiction(
 
 
 def doubt_of_data_sheet(
-    motor: MotorConfiguration, estimate: Estimate, quantity: str, *, is_duty: bool
-) -> Suspect | None:
+    motor: MotorConfiguration, estimate: Estimate, quantity: str, balance: BackEmfFit | None,
+    *, is_duty: bool,
+) -> Suspect | None:  # fmt: skip
     """Doubt everything where a parameter lies many times off what the data sheet surely says.
 
-    Only values with a stated standard deviation count; others are where the search begins.
+    Only values with a stated standard deviation count; others are where the search begins. A short
+    record that contradicts its data sheet identifies nothing: its resistance is then that of the
+    voltage balance, which begins nowhere.
 
     Args:
         motor: as configured.
         estimate: of this motor alone, as its rule gives it.
         quantity: what the torque signal is taken for: ``torque`` or ``current``.
+        balance: its voltage balance, fitted without the data sheet; None where there is none.
         is_duty: whether the voltage may be a duty cycle.
     """
     findings = [
         finding
-        for finding in _findings(motor, estimate)
+        for finding in _findings(motor, estimate) or _findings_of_balance(motor, balance)
         if finding.is_sheet
         and finding.away > STDS_FROM_SHEET
         and abs(finding.log_ratio) > math.log(FAR_FROM_SHEET)
@@ -144,6 +151,22 @@ def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
             is_sheet = relative_std > 0.0
             findings.append(_Finding(parameter.name, text, log_ratio, spread, is_sheet))
     return findings
+
+
+def _findings_of_balance(motor: MotorConfiguration, balance: BackEmfFit | None) -> list[_Finding]:
+    """Return the resistance of a balance that closes, where it lies far from the data sheet."""
+    relative_std = float(motor.values[f'initial_relative_std.{RESISTANCE}'])
+    if balance is None or not balance.has_sure_resistance or relative_std == 0.0:
+        return []
+    initial_ohm = float(motor.values[f'initial.{RESISTANCE}'])
+    log_ratio = math.log(balance.resistance / initial_ohm)
+    spread = math.hypot(relative_std, balance.resistance_std / balance.resistance)
+    away = abs(log_ratio) / spread
+    if away <= FAR:
+        return []
+    distance = _distance(away, f'{initial_ohm:.3g} ohm', relative_std)
+    text = f'{RESISTANCE} of {balance.resistance:.3g} ohm is {distance}'
+    return [_Finding(RESISTANCE, text, log_ratio, spread, is_sheet=True)]
 
 
 def _distance(away: float, sheet_value: str, relative_std: float) -> str:

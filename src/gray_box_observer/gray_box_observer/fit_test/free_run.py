@@ -1,9 +1,12 @@
 """The free run of one motor at given values, and what further effects would add to it.
 
 The free run goes from voltage (and measured speed) alone; no measured current corrects it on the
-way. Every effect that the white box leaves out is a small voltage of a known shape or a small
-change of the reading. Its influence on the free run follows from the same linearised intervals as
-that of the context nodes.
+way. Where it begins anew, its first state is known by one noisy reading. The samples that follow
+correct it, ever less, as a Kalman filter of the state alone would.
+
+Every effect that the white box leaves out is a small voltage of a known shape or a small change of
+the reading. Its influence on the free run follows from the same linearised intervals as that of the
+context nodes.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     linearise,
     recurrence,
     restart_variance,
+    taken_over,
 )
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -52,7 +56,8 @@ class FreeRun:
         residual_a: shape (k + 1,): measured less predicted current.
         jacobian: shape (k + 1, 1 + coordinate): derivative by the first state and by the
             coordinates' logarithms.
-        decay: shape (k,): what every interval leaves of a deviation.
+        decay: shape (k,): what every interval leaves of a deviation, and corrections after a
+            restart.
         reach_s: shape (k,): time over which a voltage acts in every interval, its decay taken into
             account.
         weight: shape (k + 1,): what a sample counts; less than one after a restart.
@@ -78,10 +83,9 @@ class FreeRun:
         Returns:
             Shape (voltage, k + 1), in A.
         """
-        inputs = np.where(self.stretch.restart, 0.0, voltages_v * self.reach_s / self.inductance_h)
-        rows: Array = recurrence(self.decay[None], inputs[:, None], np.zeros((inputs.shape[0], 1)))[
-            :, 0
-        ]
+        gain = np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
+        inputs = (voltages_v * gain)[:, None]
+        rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
         return rows
 
 
@@ -98,27 +102,34 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     start = stretch.state[:, 0]
     for attempt in range(PASSES):
         maps = linearise(white_box, p, stretch, np.clip(about, -limit, limit))
-        path = follow(maps, stretch, start, np.zeros_like(stretch.state))
+        loose = restart_variance(maps.decay, stretch.restart)
+        path = follow(maps, stretch, start, taken_over(loose))
         residual = stretch.state - path.state
-        if attempt == 0:
-            kicks = _kicks(path, residual, stretch)
-            if kicks is not None:
-                stretch = stretch.restarted(kicks)
+        kicks = _kicks(path, residual, stretch) if attempt == 0 else None
+        if kicks is not None:
+            stretch = stretch.restarted(kicks)
         power = float((path.by_start[0] ** 2).sum())
         shift = float((path.by_start[0] * residual[0]).sum()) / power
         start = start + shift
         about = path.state + shift * path.by_start
-        if float(np.std(stretch.state - about)) <= NEAR * float(np.std(stretch.state)):
+        is_near = float(np.std(stretch.state - about)) <= NEAR * float(np.std(stretch.state))
+        if kicks is None and is_near:
             break
     residual = stretch.state - about
-    loose = restart_variance(maps.decay, stretch.restart)
     jacobian = np.column_stack([path.by_start[0], (path.by_coordinate[:, 0] * p[0][:, None]).T])
-    decay = path.factor[0]
+    decay = maps.decay[0]
     rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
     reach = stretch.interval_s[0] * (1.0 - decay) / rate
     weight = 1.0 / (1.0 + loose[0])
     return FreeRun(
-        stretch, 1.0 / float(p[0, 0]), about[0], residual[0], jacobian, decay, reach, weight
+        stretch,
+        1.0 / float(p[0, 0]),
+        about[0],
+        residual[0],
+        jacobian,
+        path.factor[0],
+        reach,
+        weight,
     )
 
 

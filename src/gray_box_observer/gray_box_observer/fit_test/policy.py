@@ -20,17 +20,28 @@ RATIO_MISFIT = 4.5
 """Residual over noise floor from which the white box does not explain the data, whatever the
 residual looks like."""
 
-RATIO_WARNING = 1.25
+RATIO_WARNING = 1.3
+"""The same from which there is a warning: a speed that the fit of the whole motor gives is believed
+up to there (:mod:`~gray_box_observer.context_nodes.measured_speed.output_fit`)."""
+
+RATIO_SPREAD = 7.2
+"""How far beyond 1 the ratio comes by chance, times the root of the samples. Its standard deviation
+is 1.3 over that root: the noise floor is itself an estimate. It is passed once in 1e7 tests."""
 
 RATIO_DOUBT = 2.5
 """The same where an effect that is left out explains a part of it: right motors reach 1.9, wrong
 ones begin at 2.9."""
 
-WHITENESS_WARNING = 3.0
+WHITENESS_ASKS = 3.0
+"""Whiteness from which the voltage balance is asked what is left out. White noise passes it 7 times
+in a million tests."""
+
+WHITENESS_WARNING = 5.0
+"""Whiteness that is a warning by itself: white noise passes it once in 1e12 tests. A speed that the
+fit of the whole motor gives is believed up to a whiteness of 4."""
 
 WHITENESS_WIDENS = 10.0
-"""Whiteness from which the residual's correlation counts into standard deviations. A state that
-begins anew at one odd sample leaves up to 7."""
+"""Whiteness from which the residual's correlation counts into standard deviations."""
 
 WHITENESS_DOUBT = 25.0
 """Whiteness from which the residual's correlation counts with an effect as a misfit."""
@@ -151,7 +162,7 @@ def judge(
     doubtful |= is_drifting and is_coloured
     if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
         verdict = FitVerdict.MISFIT
-    elif strong or analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_WARNING:
+    elif strong or _is_large(analysis) or analysis.whiteness > WHITENESS_WARNING:
         verdict = FitVerdict.WARNING
     else:
         verdict = FitVerdict.OK
@@ -175,6 +186,17 @@ def judge(
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
     return Judgement(verdict, factor, spread)
+
+
+def is_dubious(analysis: ResidualAnalysis) -> bool:
+    """Tell whether to ask the voltage balance what is left out: that takes more to be believed."""
+    return analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_ASKS
+
+
+def _is_large(analysis: ResidualAnalysis) -> bool:
+    """Tell whether a residual is larger than the noise, and not by chance."""
+    by_chance = 1.0 + RATIO_SPREAD / math.sqrt(analysis.samples)
+    return analysis.ratio > max(RATIO_WARNING, by_chance)
 
 
 def shows_change(analysis: ResidualAnalysis) -> bool:

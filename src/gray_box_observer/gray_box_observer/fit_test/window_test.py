@@ -25,6 +25,7 @@ from gray_box_observer.fit_test.policy import (
     SCORE_DOUBT,
     WHITENESS_DOUBT,
     Judgement,
+    is_dubious,
     judge,
     shows_change,
     with_shift,
@@ -211,9 +212,14 @@ class WindowTest:
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
         content = motor.content()
-        suspects = list(doubts(white_box, samples, theta[0], self.configuration))
+        data_doubts = doubts(white_box, samples, theta[0], self.configuration)
+        suspects = list(data_doubts.suspects)
         sheet = doubt_of_data_sheet(
-            self.configuration, estimate, self.quantity, is_duty=may_be_duty(content[VOLTAGE, 0])
+            self.configuration,
+            estimate,
+            self.quantity,
+            data_doubts.balance,
+            is_duty=may_be_duty(content[VOLTAGE, 0]),
         )
         if sheet is not None and not suspects:
             suspects.append(sheet)
@@ -230,7 +236,7 @@ class WindowTest:
         """Name what is likely left out, and say what the test leaves."""
         analysis, judgement, before = finding.analysis, finding.judgement, motor.before
         suspects = finding.suspects
-        if judgement.verdict is not FitVerdict.OK:
+        if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
             candidates = (
                 {}  # its balance has a speed that nobody measures
                 if self.white_box.has_rotor
@@ -240,7 +246,8 @@ class WindowTest:
             )
             if _clearest(candidates) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-            suspects = suspects + self._suspects(analysis, candidates)
+            if judgement.verdict is not FitVerdict.OK:
+                suspects = suspects + self._suspects(analysis, candidates)
         delay = finding.delay_suspect
         if delay is not None:
             suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]

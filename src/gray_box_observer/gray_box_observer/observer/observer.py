@@ -154,9 +154,8 @@ class Observer:
         Returns:
             What the samples that it completes have led to, group by group.
         """
-        return self._ingest(
-            self._grouping.parts(signal, names, speeds), signal, stamp_ns, values, speeds
-        )
+        parts = self._grouping.parts(signal, names, speeds)
+        return self._ingest(parts, signal, stamp_ns, values, speeds)
 
     def groups(self, names: tuple[str, ...]) -> list[Group]:
         """Return the groups that the motors of a message belong to."""

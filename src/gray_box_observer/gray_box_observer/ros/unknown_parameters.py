@@ -1,8 +1,9 @@
 """Parameters that were given to a node and that it does not have: refused, or passed over.
 
 A name on the command line is meant for this node and has to be one of its own. A parameter file
-may serve several nodes: of its names, slips of the node's own are refused, and of others the log
-warns.
+may serve several nodes: of its names, slips of the node's own are refused. Of others the log warns
+where the file's section names this node, or where a name is the node's own but for its group, as
+that of a motor that is not listed. What else stands below a wildcard is that of other nodes.
 """
 
 from __future__ import annotations
@@ -14,8 +15,14 @@ from itertools import pairwise
 from rclpy.node import Node
 
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.ros.parameter_sections import names_of_node
 from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.settings.parameter_names import in_words, nearest, slip_of
+from gray_box_observer.settings.parameter_names import (
+    in_words,
+    is_of_another_group,
+    nearest,
+    slip_of,
+)
 
 Known = Callable[[str], Iterable[str]]
 """Gives the names that an unknown one may have been meant for."""
@@ -37,7 +44,8 @@ def settle(
     Raises:
         ConfigurationError: one of them was meant for this node.
     """
-    command_line_names = _on_command_line(sys.argv if args is None else args)
+    words = sys.argv if args is None else args
+    command_line_names = _on_command_line(words)
     slips = {
         name: nearest(name, valid_names(name))
         for name in unknown_names
@@ -48,11 +56,22 @@ def settle(
         raise ConfigurationError(
             printable(f'not {kind} of this node: {in_words(slips)}; --help lists them')
         )
-    if unknown_names:
-        names = in_words(dict.fromkeys(unknown_names, ''))
-        node.get_logger().warning(
-            printable(f'not of this node, ignored: {names}; --help lists its parameters')
-        )
+    if not unknown_names:
+        return
+    own_section_names = names_of_node(words, node.get_name())
+    dubious_names = [
+        name
+        for name in unknown_names
+        if name in own_section_names or is_of_another_group(name, valid_names(name))
+    ]
+    log = node.get_logger()
+    if dubious_names:
+        names = in_words(dict.fromkeys(dubious_names, ''))
+        log.warning(printable(f'not of this node, ignored: {names}; --help lists its parameters'))
+    others = sorted(set(unknown_names) - set(dubious_names))
+    if others:
+        names = in_words(dict.fromkeys(others, ''))
+        log.debug(printable(f'of other nodes, by a wildcard in a parameter file: {names}'))
 
 
 def _on_command_line(args: Sequence[str]) -> set[str]:

@@ -4,6 +4,10 @@ A voltage that pauses longer than is its habit is overdue from there on, until t
 knows what it did. What was its habit then is remembered with the voltage that ended the pause,
 because the pause itself ends the habit.
 
+Where samples of a periodic voltage were lost, and it came back moved further than is its habit,
+nobody knows when it moved: it is not known over the time of the lost samples. A voltage that hardly
+moved is held on, and one that is published only when it moves always moves as far.
+
 Values are plain floats for one motor and arrays of shape (motor,) for a group; stamps are those
 from which they act.
 """
@@ -14,10 +18,21 @@ import math
 from collections import deque
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from gray_box_observer.samples.rhythm import Rhythm
-from gray_box_observer.samples.sample import seconds
+from gray_box_observer.samples.sample import nanoseconds, seconds
 
 MAX_WAITING_VOLTAGES = 10_000
+
+FAR = 5.0
+"""Usual moves from one voltage to the next that are far: so far it moves, if ever, at steps."""
+
+SHARE = 0.02
+"""By which the usual move follows."""
+
+DUE = 1.1
+"""Usual intervals after which the next voltage was due: the usual interval itself moves by 2 %."""
 
 
 class _Pause(NamedTuple):
@@ -31,6 +46,18 @@ class _Pause(NamedTuple):
 
     limit_s: float
     regular: bool
+
+
+class _Loss(NamedTuple):
+    """Samples that were lost before a voltage that came back far from where it had been.
+
+    Attributes:
+        since_ns: when the first of them was due.
+        is_far: of which motors; of a single one, True.
+    """
+
+    since_ns: int
+    is_far: Any
 
 
 class HeldVoltage:
@@ -47,13 +74,14 @@ class HeldVoltage:
     def __init__(self, blank: Any) -> None:
         self._blank = blank
         self._rhythm = Rhythm()
+        self._usual_move_v: Any = 0.0
         self.restart()
 
     def restart(self) -> None:
         """Begin a new signal history; what is habit stays so."""
-        self._future_voltages: deque[tuple[int, Any, _Pause | None]] = (
+        self._future_voltages: deque[tuple[int, Any, _Pause | None, _Loss | None]] = (
             deque()
-        )  # stamp, voltage, pause before it
+        )  # stamp, voltage, pause before it, samples lost before it
         self._pauses = 0  # among those that are coming
         self._held_v: Any = self._blank
         self._held_ns: int | None = None  # since when that is in force
@@ -85,29 +113,51 @@ class HeldVoltage:
 
     def update(self, stamp_ns: int, voltage_v: Any) -> None:
         """Let a voltage be in force from a stamp on that is newer than all before."""
-        pause = None
+        pause = loss = None
         if self.newest_ns is not None:
             rhythm, interval_s = self._rhythm, seconds(stamp_ns - self.newest_ns)
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
+            loss = self._move(voltage_v, rhythm.loses(interval_s))
             rhythm.update(interval_s)
         self.newest_ns = stamp_ns
-        self._future_voltages.append((stamp_ns, voltage_v, pause))
+        self._future_voltages.append((stamp_ns, voltage_v, pause, loss))
         if (
             len(self._future_voltages) > MAX_WAITING_VOLTAGES
         ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
+    def _move(self, voltage_v: Any, has_loss: bool) -> _Loss | None:
+        """Note how far the voltage has moved; return what that makes of samples that were lost."""
+        move_v = abs(voltage_v - self.newest_v)
+        if isinstance(move_v, np.ndarray):
+            move_v = np.where(np.isnan(move_v), 0.0, move_v)
+        elif math.isnan(move_v):
+            move_v = 0.0
+        usual_move_v = self._usual_move_v
+        self._usual_move_v = usual_move_v + SHARE * (move_v - usual_move_v)
+        if not has_loss:
+            return None
+        is_far = move_v > FAR * usual_move_v
+        assert self.newest_ns is not None
+        since_ns = self.newest_ns + nanoseconds(DUE * self._rhythm.usual_s)
+        return _Loss(since_ns, is_far) if np.any(is_far) else None
+
     def _hold_next(self) -> None:
         """Let the next voltage be in force."""
-        self._held_ns, self._held_v, pause = self._future_voltages.popleft()
+        self._held_ns, self._held_v, pause, _ = self._future_voltages.popleft()
         self._pauses -= pause is not None
 
     def mean(self, start_ns: int, end_ns: int) -> Any:
-        """Mean voltage over an interval from the last torque on, where it was known."""
+        """Mean voltage over an interval from the last torque on, where it was known.
+
+        NaN where samples of a voltage were lost that has moved far meanwhile.
+        """
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
-        for since_ns, voltage_v, _ in self._future_voltages:
+        for since_ns, voltage_v, _, loss in self._future_voltages:
+            if loss is not None and loss.since_ns < end_ns and since_ns > start_ns:
+                held_v = np.where(loss.is_far, math.nan, held_v)
             if since_ns >= end_ns:
                 break
             if since_ns > cursor_ns:
@@ -130,7 +180,7 @@ class HeldVoltage:
             return None
         torque_silent = torque.silent(seconds(end_ns - start_ns))
         since_ns, until_ns = self._held_ns, None
-        for voltage_ns, _, pause in self._future_voltages:
+        for voltage_ns, _, pause, _ in self._future_voltages:
             if pause is not None and since_ns is not None and voltage_ns > start_ns:
                 overdue = seconds(min(voltage_ns, end_ns) - since_ns) > pause.limit_s
                 until_ns = voltage_ns if overdue and (pause.regular or torque_silent) else until_ns

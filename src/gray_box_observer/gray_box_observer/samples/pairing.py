@@ -9,7 +9,8 @@ and a replayed bag make the same samples.
 A voltage that is old while torque comes was not changed. But where both signals were silent far
 longer than is their habit, or the voltage, which always came regularly, is overdue, nobody knows
 what it did (:mod:`held_voltage`): the history begins anew with the next voltage, and torque before
-that is refused.
+that is refused. Where some samples of a periodic voltage were lost, and it came back far from where
+it was, the history begins anew with every torque of that time.
 
 Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that
 delay as they come in: all that follows sees signals that belong together.
@@ -352,9 +353,10 @@ class Pairing:
             return None
         if voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm) is not None:
             return None
-        return self._joining.ahead(
-            stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns
-        )
+        mean_v = voltages.mean(start_ns, stamp_ns)
+        if np.isnan(mean_v).all():
+            return None
+        return self._joining.ahead(stamp_ns - start_ns, mean_v, self._gap_ns)
 
     def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""

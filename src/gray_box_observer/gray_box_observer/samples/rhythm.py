@@ -22,6 +22,10 @@ REGULAR = 1000
 LEARNT = 20
 """Intervals before anything is called missing."""
 
+MOSTLY = 0.15
+"""Share of late intervals up to which a signal is periodic and has lost samples. Of a signal that
+comes when it changes, at random, a third are late."""
+
 
 class Rhythm:
     """Counts the samples that should have come and did not.
@@ -44,6 +48,7 @@ class Rhythm:
         self.pauses = -1  # the first sample begins the first history
         self._sample_count = 0
         self._unbroken = 0
+        self._late_share = 0.0
 
     def silent(self, interval_s: float) -> bool:
         """Tell whether an interval in s is a silence by the signal's own habit."""
@@ -53,6 +58,13 @@ class Rhythm:
     def regular(self) -> bool:
         """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
+
+    def loses(self, interval_s: float) -> bool:
+        """Tell whether a periodic signal has lost samples in an interval in s, short of silence."""
+        return (
+            LATE * self.usual_s < interval_s <= self.silence_s < math.inf
+            and self._late_share < MOSTLY
+        )
 
     def update(self, interval_s: float) -> None:
         """Take one sample's interval since the one before, in s; 0 at the start of a history."""
@@ -65,7 +77,9 @@ class Rhythm:
             return
         usual_s = self.usual_s
         self._unbroken = 0 if interval_s > SILENCE * usual_s else self._unbroken + 1
-        if interval_s > LATE * usual_s:
+        is_late = interval_s > LATE * usual_s
+        if is_late:
             self.missing_count += round(interval_s / usual_s) - 1
+        self._late_share += STEP * (is_late - self._late_share)
         self.usual_s = usual_s * (1.0 + STEP if interval_s > usual_s else 1.0 - STEP)
         self.silence_s = SILENCE * self.usual_s

@@ -40,6 +40,17 @@ def slip_of(name: str, valid_names: Iterable[str]) -> str:
     return best_name
 
 
+def is_of_another_group(name: str, valid_names: Iterable[str]) -> bool:
+    """Tell whether a name is a known one but for its first part, as that of another motor.
+
+    Args:
+        name: parts joined by dots.
+        valid_names: likewise.
+    """
+    _, dot, rest = name.partition('.')
+    return bool(dot) and any(candidate.partition('.')[2] == rest for candidate in valid_names)
+
+
 def nearest(name: str, valid_names: Iterable[str]) -> str:
     """Return the known name that comes nearest to a name; empty where none is anything like it."""
     names = list(valid_names)
