@@ -82,7 +82,7 @@ class _Usual(NamedTuple):
 
     message_type: type
     names: Sequence[str]
-    value_type: type
+    value_type: type[Any]
     motors: tuple[str, ...]
 
 
