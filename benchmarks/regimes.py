@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.predictor import InlineTraining, Predictor, TrainingSettings
+from gray_box_observer.predictor import Forecasting, InlineTraining, Predictor, TrainingSettings
 from gray_box_observer.samples import Sample
 
 HOME, AWAY = 'R[5,15]D[1,20]', 'R[1,2]D[3,3]'
@@ -111,14 +111,13 @@ def run(motor: Motor, parts: list[list[Sample]], seed: int, rules: TrainingSetti
         'theta_reference': theta[0],
         'seed': seed,
     }
-    one = Predictor(
-        box, 1, theta[0], rules, InlineTraining(configuration), speed_measured=False, seed=seed
-    )
+    predictor = Predictor(box, 1, theta[0], rules, speed_measured=False, seed=seed)
+    one = Forecasting(predictor, rules, InlineTraining(configuration))
     home, away, back = (_relative(_missed(one, samples, theta)) for samples in parts)
     return Outcome(home, away, back)
 
 
-def _missed(one: Predictor, samples: list[Sample], theta: FloatArray) -> FloatArray:
+def _missed(one: Forecasting, samples: list[Sample], theta: FloatArray) -> FloatArray:
     """Errors of predictor and white box, shape (sample, 2)."""
     missed = np.empty((len(samples), 2))
     for k, sample in enumerate(samples):

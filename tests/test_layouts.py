@@ -191,11 +191,16 @@ def test_every_panel_of_foxglove_stands_in_the_layout_once():
 
 
 def test_foxglove_takes_header_stamps_only_where_there_is_a_header():
-    for panel in FOXGLOVE['configById'].values():
-        for path in panel.get('paths', []):
-            if path['timestampMethod'] == 'headerStamp':
-                kind = DECLARED[foxglove_path(path['value']).topic].type
-                assert 'header' in kind.get_fields_and_field_types(), path
+    stamped_paths = [
+        path
+        for panel in FOXGLOVE['configById'].values()
+        for path in panel.get('paths', [])
+        if path['timestampMethod'] == 'headerStamp'
+    ]
+    assert stamped_paths
+    for path in stamped_paths:
+        kind = DECLARED[foxglove_path(path['value']).topic].type
+        assert 'header' in kind.get_fields_and_field_types(), path
 
 
 def test_plotjuggler_subscribes_to_exactly_what_it_draws():

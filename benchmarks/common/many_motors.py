@@ -42,14 +42,13 @@ def one_predictor(
     motors: int, device: str | None = None, replay_capacity: int = 6000
 ) -> tuple[Any, Any]:
     """An untrained predictor, and the parameters of its motors, shape (motor, parameter)."""
-    from gray_box_observer.predictor import Predictor, TrainingSettings
+    from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings
 
     theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))
     rules = TrainingSettings(period=10**9, replay_capacity=replay_capacity)
     box = white_box(motors)
-    return Predictor(
-        box, motors, theta[0], rules, NoTraining(), speed_measured=False, device=device
-    ), theta
+    predictor = Predictor(box, motors, theta[0], rules, speed_measured=False, device=device)
+    return Forecasting(predictor, rules, NoTraining()), theta
 
 
 class NoTraining:

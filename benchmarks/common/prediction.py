@@ -15,7 +15,7 @@ from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import Predictor, TrainingSettings
+from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, fresh, load
 from gray_box_observer.predictor.network import Memory, step
 from gray_box_observer.predictor.steady_state import after, chord, course, flow, relaxation
@@ -133,14 +133,9 @@ def free_run(
 
     Both have shape (motor, sample).
     """
-    made = Predictor(
-        white_box(plants),
-        len(plants),
-        theta[0],
-        TrainingSettings(start=start),
-        NoTraining(),
-        speed_measured=False,
-    )
+    rules = TrainingSettings(start=start)
+    predictor = Predictor(white_box(plants), len(plants), theta[0], rules, speed_measured=False)
+    made = Forecasting(predictor, rules, NoTraining())
     if network is not None:
         made.restore(network)
     said = np.full((2, len(plants), recording.stamp_ns.size), np.nan)
@@ -270,14 +265,9 @@ def after_a_step(
 def microseconds(recording: Recording) -> tuple[float, float]:
     """Median time of one prediction and of learning the sample, for one motor."""
     theta = theta_of([THESIS_MOTOR])
-    made = Predictor(
-        white_box([THESIS_MOTOR]),
-        1,
-        theta[0],
-        TrainingSettings(),
-        NoTraining(),
-        speed_measured=False,
-    )
+    rules = TrainingSettings()
+    predictor = Predictor(white_box([THESIS_MOTOR]), 1, theta[0], rules, speed_measured=False)
+    made = Forecasting(predictor, rules, NoTraining())
     times = []
     for sample in samples(recording):
         start = time.perf_counter()

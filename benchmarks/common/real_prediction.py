@@ -21,7 +21,7 @@ from gray_box_observer.csv_import.column_mapping import FIRST_STAMP_NS, CsvMappi
 from gray_box_observer.csv_import.log_conversion import csv_to_bag
 from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import Predictor, TrainingSettings
+from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.residual_model import ResidualModel
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
@@ -256,9 +256,9 @@ def free_run(
 ) -> tuple[FloatArray, FloatArray]:
     """Predict a history from voltages (and speeds); return torques of predictor and white box."""
     box = observer.motors['motor'].white_box
-    made = Predictor(
-        box, 1, theta[0], TrainingSettings(), NoTraining(), speed_measured=box.speed_measured
-    )
+    rules = TrainingSettings()
+    predictor = Predictor(box, 1, theta[0], rules, speed_measured=box.speed_measured)
+    made = Forecasting(predictor, rules, NoTraining())
     made.restore(network)
     made.training.freeze(True)  # what was learnt is asked, nothing is learnt any more
     said = []

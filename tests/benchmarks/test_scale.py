@@ -23,10 +23,10 @@ def test_rows_on_a_device_predict_every_motor(monkeypatch: pytest.MonkeyPatch) -
         on_device, 'one_predictor', lambda *a, **b: told.append(one_predictor(*a, **b)) or told[-1]
     )
     on_device.prediction('cpu', samples, DEVICE_FROM, count=2)
-    predictor, _ = told[0]
-    assert isinstance(predictor._axis.arrays, TorchOps)
+    forecasting, _ = told[0]
+    assert isinstance(forecasting.predictor._axis.arrays, TorchOps)
     for motor in (0, DEVICE_FROM - 1):
-        skill = predictor.scores.skill(motor)
+        skill = forecasting.scores.skill(motor)
         assert skill.samples == on_device.WARM + 2 - 1, (
             'the first sample of a history is not predicted'
         )

@@ -153,7 +153,7 @@ def test_one_step_is_one_sample_of_a_recording():
         sample = stepped.step()
         assert sample.stamp_ns == recorded.stamp_ns[k]
         assert sample.torque_nm.tolist() == recorded.torque_nm[:, k].tolist()
-    assert stepped.next_stamp_ns == 500_000_000
+    assert stepped.step().stamp_ns == 500_000_000
 
 
 @pytest.mark.parametrize(

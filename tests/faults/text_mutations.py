@@ -39,7 +39,8 @@ from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.identify.command import main as identify
 from gray_box_observer.identify.options import configure
 from gray_box_observer.report.run.truth import read_truth
-from gray_box_observer.settings.configuration import Configuration, read_parameter_file
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 2.0

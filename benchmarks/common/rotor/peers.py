@@ -58,7 +58,7 @@ def own_run(record: Record) -> PeerRun:
     begun = time.process_time()
     for k, (sample, current) in enumerate(samples):
         if nodes.learn(sample):
-            noise_a = float(nodes.noise_std_nm[0]) / record.motor.torque_constant
+            noise_a = nodes.noise_a
             theta = nodes.theta[0]
         follower.step(
             theta, noise_a, record.interval_s if k else 0.0, float(sample.voltage_v[0]), current

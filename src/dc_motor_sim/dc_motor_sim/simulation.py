@@ -165,11 +165,6 @@ class Simulation:
         """The truth: present parameters of each motor by name."""
         return dict(self._parameters)
 
-    @property
-    def next_stamp_ns(self) -> int:
-        """Stamp of the sample that `step` makes next."""
-        return self._start_ns + self._sample * self.period_ns
-
     def check_parameters(self, new_parameters: Mapping[str, PlantParameters]) -> None:
         """Raise what `set_parameters` would raise, and change nothing."""
         self._plant_with(new_parameters)

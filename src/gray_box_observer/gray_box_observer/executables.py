@@ -28,7 +28,7 @@ THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 LARGE_BYTES = 1 << 22
 """Blocks of memory from this size on go back to the system when they are freed."""
 
-_M_MMAP_THRESHOLD = -3  # malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
 
 EXIT_INTERRUPTED = 130
 """Of a command that Ctrl-C ends; a node that is asked to end has done what it was asked."""
@@ -74,10 +74,13 @@ def settle_memory() -> None:
 
     By itself glibc serves them from its heap once one of that size has been freed, and what lies
     above them there keeps them: one message of a million names would leave its size behind for
-    good.
+    good. As much as one such block stays at hand at the end of the heap: arrays of some 100 kB come
+    and go, and asking the system for each anew costs a twentieth of the time.
     """
     try:
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
+        library = ctypes.CDLL(None)
+        library.mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
+        library.mallopt(_M_TRIM_THRESHOLD, LARGE_BYTES)
     except (OSError, AttributeError):  # another C library
         return
 

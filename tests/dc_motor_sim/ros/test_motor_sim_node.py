@@ -101,21 +101,21 @@ def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(
 def test_a_sped_up_clock_starts_at_zero_and_finishes_early(listener, launch):
     process = launch(
         duration_s=10.0,
+        sample_rate_hz=20.0,
         publish_clock='true',
         clock_speed_up=10.0,
         speed_mode='rotor',
         motors='[left, right]',
     )
-    listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 1000, 'all samples')
-    listener.wait(lambda: len(listener.clock) == 1000, 'the clock')
+    listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 200, 'all samples')
+    listener.wait(lambda: len(listener.clock) == 200, 'the clock')
     assert listener.peer.end(process, None)[0] == 0
-    assert [stamp_ns(message) for message in listener.torque] == [
-        k * 10_000_000 for k in range(1000)
-    ]
+    stamps = [k * 50_000_000 for k in range(200)]
+    assert [stamp_ns(message) for message in listener.torque] == stamps
     clock_ns = [
         message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock
     ]
-    assert clock_ns == [k * 10_000_000 for k in range(1000)], 'every message of the clock'
+    assert clock_ns == stamps, 'every message of the clock'
     assert topics.CLOCK.qos.depth >= 100, 'messages that the transport drops are sent again'
     last = listener.torque[-1]
     assert list(last.name) == ['left', 'right']
@@ -177,15 +177,21 @@ def test_a_schedule_shows_in_torque_and_parameters(listener, launch):
         excitation='C[10]',
         motor__hysteresis=0.0,
         schedule='[motor.resistance=2.0@4]',
+        sample_rate_hz=20.0,
         publish_clock='true',
         clock_speed_up=10.0,
     )
     listener.wait(
         lambda: listener.torque and stamp_ns(listener.torque[-1]) > 10_000_000_000, 'ten seconds'
     )
-    by_time = {stamp_ns(message): message.effort[0] for message in listener.torque}
-    assert by_time[4_000_000_000] == pytest.approx(0.1 / 1.0001, rel=1e-3)
-    assert by_time[9_000_000_000] == pytest.approx(0.1 / 2.0001, rel=1e-3)
+    before, after = (
+        [m.effort[0] for m in listener.torque if from_ns < stamp_ns(m) <= from_ns + 500_000_000]
+        for from_ns in (3_500_000_000, 9_000_000_000)
+    )
+    assert before, 'a slow listener may miss samples, not half a second of them'
+    assert after
+    assert before == pytest.approx([0.1 / 1.0001] * len(before), rel=1e-3)
+    assert after == pytest.approx([0.1 / 2.0001] * len(after), rel=1e-3)
 
     def mirrored():
         request = GetParameters.Request(names=['motor.resistance'])

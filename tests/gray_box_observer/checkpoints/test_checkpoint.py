@@ -147,18 +147,18 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
         return told
 
     take(one, 0, 1010)
-    predictor = one.group_of('motor').observer.predictor
-    assert predictor is not None
-    predictor.residual.adopt(learnt.arrays())
+    forecasting = one.group_of('motor').observer.forecasting
+    assert forecasting is not None
+    forecasting.predictor.residual.adopt(learnt.arrays())
     take(
         one, 1010, 1039
     )  # in the middle of a block and of a period of training; nobody has asked for the last alarm
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
     one.group_of('motor').pairing.restart()  # as loading does
-    size_nm = predictor.residual.size_nm[0]
+    size_nm = forecasting.predictor.residual.size_nm[0]
     assert take(one, 1039, 1900) == take(other, 1039, 1900)
-    assert predictor.residual.size_nm[0] > size_nm > 0.0, 'it spoke'
+    assert forecasting.predictor.residual.size_nm[0] > size_nm > 0.0, 'it spoke'
     (plain, arrays), (again, second) = (which.motors['motor'].state() for which in (one, other))
     assert again == plain
     for name, array in arrays.items():

@@ -100,9 +100,8 @@ def test_noisy_torque_is_identified_with_an_honest_covariance(
         error = (estimate.value - TRUTH)[0]
         assert np.all(np.abs(error / TRUTH[0]) < [0.03, 0.02, 0.03])
         distances.append(error @ np.linalg.solve(estimate.covariance[0], error))
-    assert (
-        np.median(distances) < 40.0
-    )  # three squared standard deviations are expected; far above: false certainty
+    # chi-square of three parameters: 98 of 100 lie between 0.1 and 11, half of them below 2.4
+    assert 0.1 < np.median(distances) < 6.0
 
 
 def test_the_samples_are_left_as_they_were(

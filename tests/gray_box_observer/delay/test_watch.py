@@ -311,14 +311,14 @@ def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
     said = [r.prediction.torque_nm[0] for r in results[-200:] if r.prediction is not None]
     assert np.isfinite(said).all()
     assert len(said) == 200
-    predictor = one.group_of('motor').observer.predictor
-    assert predictor is not None
+    forecasting = one.group_of('motor').observer.forecasting
+    assert forecasting is not None
     last = (
         results[-1].sample.stamp_ns - START_NS
     ) // 10_000_000  # the very last torque may wait for its voltage
     expected = recording.voltage_v[0, last - 1000 : last]
     np.testing.assert_allclose(
-        predictor.training.replay.voltage_v(1000)[0], expected, rtol=0.0, atol=0.05
+        forecasting.training.replay.voltage_v(1000)[0], expected, rtol=0.0, atol=0.05
     )
 
 

@@ -161,7 +161,7 @@ def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estima
     motor = first.motors['motor']
     assert motor.identified
     misfit = Judgement(FitVerdict.MISFIT, np.ones(2), np.zeros((2, 2)))
-    monkeypatch.setattr('gray_box_observer.fit_test.monitor.judge', lambda *_, **__: misfit)
+    monkeypatch.setattr('gray_box_observer.fit_test.window_test.judge', lambda *_, **__: misfit)
     for sample in range(3000, 6000):
         _feed(first, Record(record.voltage_v[: sample + 1], record.current_a[: sample + 1]), sample)
         if motor.fit.verdict is FitVerdict.MISFIT:

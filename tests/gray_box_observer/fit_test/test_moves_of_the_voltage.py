@@ -20,7 +20,9 @@ from linear_motor_records import (
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.recursive.trajectory import follow_moves
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.fit_test.monitor import SHORTEST_WAIT, FitMonitor, is_held
+from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT
+from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.fit_test.window_test import is_held
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
@@ -107,13 +109,13 @@ def test_values_that_have_moved_since_their_test_are_tested_before_they_are_beli
     _feed(observer, voltage_v[1200:], current_a[1200:], 1200)
     same = nodes.estimate()
     assert monitor.assessment(0).verdict is FitVerdict.OK
-    assert monitor.due(nodes, same, only) == []
-    assert not monitor.is_urgent(0)
+    assert monitor.schedule.due(nodes.replay, same, only) == []
+    assert not monitor.schedule.is_urgent(0)
     moved = replace(same, value=1.2 * same.value)
-    assert monitor.due(nodes, moved, only) == [0]
-    assert monitor.is_urgent(0)
+    assert monitor.schedule.due(nodes.replay, moved, only) == [0]
+    assert monitor.schedule.is_urgent(0)
     nobody = replace(moved, verdicts=((Verdict.CONVERGING, Verdict.CONVERGING),))
-    assert monitor.due(nodes, nobody, only) == []
+    assert monitor.schedule.due(nodes.replay, nobody, only) == []
 
 
 def test_a_motor_that_rests_at_first_is_still_identified() -> None:

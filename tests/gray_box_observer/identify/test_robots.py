@@ -16,7 +16,8 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.identify.offline_run import Outcome, run
-from gray_box_observer.settings.configuration import Configuration, flatten
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.ros_parameter_file import flatten
 
 PAGE = Path(__file__).resolve().parents[3] / 'docs' / 'ROBOTS.md'
 RATE_HZ = 200.0

@@ -326,8 +326,8 @@ def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_wen
     feed(one, said, names, 711, 712)
     motors = one.group_of(CALM).observer
     assert motors is not None
-    assert motors.predictor is not None
-    for replay in (motors.predictor.training.replay, motors.context_nodes.replay):
+    assert motors.forecasting is not None
+    for replay in (motors.forecasting.training.replay, motors.context_nodes.replay):
         begun = replay.newest(1, slice(None), replay.received)[0, :, 0] == 0.0
         assert [name for name, first in zip(names, begun, strict=True) if first] == [CALM]
 

@@ -370,26 +370,26 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
 ) -> None:
     recording, one = record(duration_s=12.0), observer(InlineTraining, variant='main')
     feed(one, recording, 400)
-    predictor = one.group_of('motor').observer.predictor
-    assert predictor is not None
+    forecasting = one.group_of('motor').observer.forecasting
+    assert forecasting is not None
     one.freeze(True)
-    jobs, network = predictor.training.jobs_done, predictor.state()
+    jobs, network = forecasting.training.jobs_done, forecasting.state()
     results = feed(one, recording, 800)
     assert jobs > 0
-    assert predictor.training.jobs_done == jobs
+    assert forecasting.training.jobs_done == jobs
     for name, array in network.items():
         if not name.startswith('seen_'):
-            np.testing.assert_array_equal(predictor.state()[name], array, err_msg=name)
+            np.testing.assert_array_equal(forecasting.state()[name], array, err_msg=name)
     assert all(
         r.prediction is not None and np.isfinite(r.prediction.torque_nm[0]) for r in results[-100:]
     )
     one.freeze(False)
     feed(one, recording)
-    assert predictor.training.jobs_done > jobs
+    assert forecasting.training.jobs_done > jobs
     frozen = observer(InlineTraining, freeze=True)
     feed(frozen, recording, 400)
-    assert frozen.group_of('motor').observer.predictor is not None
-    assert frozen.group_of('motor').observer.predictor.training.jobs_done == 0
+    assert frozen.group_of('motor').observer.forecasting is not None
+    assert frozen.group_of('motor').observer.forecasting.training.jobs_done == 0
 
 
 def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
@@ -487,5 +487,5 @@ def test_whoever_says_twice_that_learning_goes_on_begins_a_new_history_all_the_s
     (result,) = one.torque('motor', stamp, float(recording.torque_nm[0, 120]))
     assert result.sample.interval_s[0] > 0.0
     motor = one.group_of('motor').observer
-    for replay in (motor.context_nodes.replay, motor.predictor.training.replay):
+    for replay in (motor.context_nodes.replay, motor.forecasting.training.replay):
         assert replay.interval_s(3)[0].tolist() == [0.01, 0.01, 0.0]

@@ -2,55 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
 
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Recording, Simulation
+from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.form_trial import CATCH_UP
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.speed_choice import CATCH_UP
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
-GEAR_MOTOR = PlantParameters(
-    inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
-    inertia=1e-5, viscous_friction=1e-5, coulomb_friction=8.4e-3,
-)  # fmt: skip
 THESIS_MOTOR = PlantParameters(
     inductance=8e-3, resistance=2.0, hysteresis=5.0, torque_constant=0.02, back_emf_constant=0.02
 )
-CONSTANTS = {'motor.torque_constant': 0.02, 'motor.back_emf_constant': 0.02}
-LIVELY = 'R[-12,12]D[0.05,0.5]'
-
-
-@cache
-def recorded(plant: PlantParameters, excitation: str, duration_s: float, seed: int) -> Recording:
-    """Record a motor at 1 kHz with 1 % noise, its speed unknown."""
-    simulation = Simulation(
-        {'motor': plant}, excitation, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
-        speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis',
-    )  # fmt: skip
-    return simulation.record(duration_s)
-
-
-def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0) -> int:
-    """Feed recordings one after another; return the stamp behind them."""
-    for recording in recordings:
-        for k, stamp in enumerate(recording.stamp_ns.tolist()):
-            observer.voltage('motor', begin_ns + stamp, float(recording.voltage_v[0, k]))
-            observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
-        begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
-    return begin_ns
 
 
 def observed(*recordings: Recording, **values: object) -> Observer:
@@ -242,18 +215,16 @@ def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver
     plain, arrays = copied(in_trial)
     arrays['speed/backlog'] = np.tile(arrays['nodes/replay'][:, :, -200:], (1, 1, 10))
     motor.restore(plain, arrays)
-    work, taken = motor.speed_choice._work, 0
-    assert work is not None
-    trial = motor.speed_choice._trial
+    trial, taken = motor.speed_choice._trial, 0
     assert trial is not None
     while True:
         try:
-            next(work)
+            next(trial.work)
         except StopIteration as end:
             form = end.value.form
             break
-        assert (trial.taken_count or 0) - taken <= CATCH_UP
-        taken = trial.taken_count or 0
+        assert (trial.adopted_count or 0) - taken <= CATCH_UP
+        taken = trial.adopted_count or 0
     assert form is not None
     assert len(trial.backlog) - CATCH_UP <= taken <= len(trial.backlog)
 

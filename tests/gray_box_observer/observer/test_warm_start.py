@@ -15,7 +15,8 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
-from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates, to_parameters
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gray_box_observer.predictor import Prediction, Predictor, TrainingSettings
+from gray_box_observer.predictor import Forecasting, Prediction, Predictor, TrainingSettings
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
@@ -44,19 +44,20 @@ def box_of(motors: int) -> MotorWhiteBox:
     )
 
 
-def warmed(idle: Any, motors: int, learnt: ResidualModel | None) -> Predictor:
+def warmed(idle: Any, motors: int, learnt: ResidualModel | None) -> Forecasting:
     """A predictor in the middle of a run; the same each time."""
     rules = TrainingSettings(period=10**6)  # nothing is learnt here
-    one = Predictor(box_of(motors), motors, TRUTH[0], rules, idle, speed_measured=False)
+    predictor = Predictor(box_of(motors), motors, TRUTH[0], rules, speed_measured=False)
+    one = Forecasting(predictor, rules, idle)
     if learnt is not None:
-        one.residual.adopt(learnt.arrays())
+        one.predictor.residual.adopt(learnt.arrays())
     held_v = np.random.default_rng(0).uniform(-10.0, 10.0, (6, motors))
     for k in range(300):
         go_on(one, held_v[k // 50], motors, first=k == 0)
     return one
 
 
-def go_on(one: Predictor, voltage_v: np.ndarray, motors: int, first: bool = False) -> Prediction:
+def go_on(one: Forecasting, voltage_v: np.ndarray, motors: int, first: bool = False) -> Prediction:
     """Predict and learn one sample; a free run does not care what was measured."""
     blank = np.full(motors, np.nan)
     sample = Sample(
@@ -124,8 +125,8 @@ def test_forecasting_changes_nothing(idle: Any) -> None:
     )
 
 
-def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
-    one = Predictor(box_of(1), 1, TRUTH[0], TrainingSettings(), idle, speed_measured=False)
+def test_before_a_history_begins_nothing_is_said() -> None:
+    one = Predictor(box_of(1), 1, TRUTH[0], TrainingSettings(), speed_measured=False)
     one.restore(correction().arrays())
     assert np.isnan(one.forecast(0.1, HELD_V[:1], TRUTH[:1])[0])
 
@@ -134,12 +135,14 @@ def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remem
     idle: Any,
 ) -> None:
     silenced, never = warmed(idle, 1, correction()), warmed(idle, 1, None)
-    silenced.residual.adopt(correction(0.0).arrays(), newest(silenced.training.replay, LONGEST))
+    silenced.predictor.residual.adopt(
+        correction(0.0).arrays(), newest(silenced.training.replay, LONGEST)
+    )
     said = []
     for one in (silenced, never):
         for k in range(300):
             go_on(one, np.array([5.0 if k // 30 % 2 else -5.0]), 1)
-        one.residual.adopt(correction().arrays(), newest(one.training.replay, LONGEST))
+        one.predictor.residual.adopt(correction().arrays(), newest(one.training.replay, LONGEST))
         said.append(go_on(one, HELD_V[:1], 1).torque_nm[0])
     assert said[0] == said[1]
 
@@ -150,8 +153,8 @@ def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(i
         learnt, weights=replace(learnt.weights, output=np.zeros(8))
     )  # the linear part alone
     always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
-    late.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
-    forgetful.residual.adopt(mute.arrays())
+    late.predictor.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
+    forgetful.predictor.residual.adopt(mute.arrays())
     said = [go_on(one, HELD_V[:1], 1).torque_nm[0] for one in (always, late, forgetful)]
     assert said[1] == pytest.approx(said[0], abs=1e-9)
     assert abs(said[2] - said[0]) > 2e-5

@@ -13,7 +13,7 @@ from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import Predictor, TrainingSettings, Variant
+from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings, Variant
 from gray_box_observer.predictor import predictor as predictor_module
 from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.initial_network import fresh
@@ -28,12 +28,13 @@ TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 def predictor(
     box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingSettings | None = None
-) -> Predictor:
+) -> Forecasting:
     rules = rules or TrainingSettings()
-    return Predictor(box, motors, TRUTH[0], rules, idle, speed_measured=box.speed_measured)
+    one = Predictor(box, motors, TRUTH[0], rules, speed_measured=box.speed_measured)
+    return Forecasting(one, rules, idle)
 
 
-def run(one: Predictor, samples: list[Sample], theta: np.ndarray = TRUTH) -> np.ndarray:
+def run(one: Forecasting, samples: list[Sample], theta: np.ndarray = TRUTH) -> np.ndarray:
     """Torque forecast of every sample, shape (motor, sample)."""
     said = []
     for s in samples:
@@ -235,7 +236,7 @@ def test_every_white_box_is_served_with_measured_speed_too(
         if k % 40 == 0:
             voltage, speed = float(random.uniform(-12.0, 12.0)), float(random.uniform(-20.0, 20.0))
             if box.speed_measured:  # it holds from here on, so this sample is the one that tells it
-                one._previous_speed = np.array([speed])
+                one.predictor.speed_rad_s = np.array([speed])
         way = course(Floats, box, theta, voltage, speed, 0.0)
         current = flow(Floats, box, way, current, interval_s, 0.01)
     assert error(np.array(said), np.array(true), 1) < 2e-3
@@ -429,19 +430,22 @@ def test_many_motors_are_predicted_alike_on_a_device(
     )
     values = np.array(theta) * random.uniform(0.7, 1.4, (motors, len(theta)))
     both = [
-        Predictor(
-            many,
-            motors,
-            np.array(theta),
+        Forecasting(
+            Predictor(
+                many,
+                motors,
+                np.array(theta),
+                TrainingSettings(),
+                speed_measured=box.speed_measured,
+                device=device,
+            ),
             TrainingSettings(),
             idle,
-            speed_measured=box.speed_measured,
-            device=device,
         )
         for device in (None, torch_name)
     ]
-    assert both[0]._axis.arrays is np
-    assert isinstance(both[1]._axis.arrays, TorchOps)
+    assert both[0].predictor._axis.arrays is np
+    assert isinstance(both[1].predictor._axis.arrays, TorchOps)
     voltage = random.uniform(-15.0, 15.0, motors)
     for k in range(60):
         voltage = np.where(

@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import (
+    Forecasting,
     InlineTraining,
     Prediction,
     RotorPredictor,
@@ -44,10 +45,10 @@ def trajectory(count: int, seed: int = 1, start: Sequence[float] = (0.0, 0.0)) -
     return np.vstack([voltage, states[1:].T])
 
 
-def predictor() -> RotorPredictor:
+def predictor() -> Forecasting:
     rules = TrainingSettings()
     job = {'white_box': BOX.to_dict(), 'rules': rules.to_dict(), 'seed': 1}
-    return RotorPredictor(BOX, rules, InlineTraining(job))
+    return Forecasting(RotorPredictor(BOX), rules, InlineTraining(job))
 
 
 def sample(place: int, voltage_v: float, current_a: float) -> Sample:
@@ -55,7 +56,7 @@ def sample(place: int, voltage_v: float, current_a: float) -> Sample:
     return Sample.of_one_motor(place * 1_000_000, interval_s, voltage_v, current_a * KT)
 
 
-def followed(one: RotorPredictor, record: np.ndarray, known_from: int = 3) -> list[Prediction]:
+def followed(one: Forecasting, record: np.ndarray, known_from: int = 3) -> list[Prediction]:
     """Predict and follow a record whose speed is known from a sample on."""
     predictions = []
     for place, (volt, current, speed) in enumerate(record.T.tolist()):

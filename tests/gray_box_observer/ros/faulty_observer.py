@@ -27,11 +27,11 @@ def faulty_step(self, sample):
 healthy_test = FitMonitor.test
 
 
-def faulty_test(self, nodes, estimate, motor, delay, **options):
+def faulty_test(self, nodes, estimate, motor, delay):
     """Test a motor, unless it is the one that the defect is about."""
-    if self._motors[motor].name == 'right':
+    if self.configuration(motor).name == 'right':
         raise ZeroDivisionError('a defect of the test')
-    healthy_test(self, nodes, estimate, motor, delay, **options)
+    healthy_test(self, nodes, estimate, motor, delay)
 
 
 if __name__ == '__main__':

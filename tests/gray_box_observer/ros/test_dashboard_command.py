@@ -64,7 +64,10 @@ def test_an_observer_that_says_nothing_of_use_is_an_error_in_a_sentence(
 
 
 def test_what_an_observer_says_is_taken() -> None:
-    data = {'parameters': {'motors': ['left']}, 'resolved': {'motor/voltage': '/r1/motor/voltage'}}
+    data = {
+        'parameters': {'motors': ['left']},
+        'topic_names': {'motor/voltage': '/r1/motor/voltage'},
+    }
     assert dashboard_command._read_signals(json.dumps(data).encode()) == data
     with pytest.raises(InputError):
         dashboard_command._read_signals(b'null')

@@ -19,8 +19,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from gray_box_observer.ros.topics import SIGNAL_QOS
-from gray_box_observer.settings.configuration import flatten
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
+from gray_box_observer.settings.ros_parameter_file import flatten
 
 pytestmark = pytest.mark.system
 

@@ -259,7 +259,7 @@ def test_an_alarm_goes_out_when_it_changes_and_only_then():
     outputs = Outputs(node, Configuration.from_flat({}))
     for raised in (False, False, True, True, False):
         one = result(1, 1.0)
-        one.deferred.alarm = np.array([raised])
+        one.update.alarm = np.array([raised])
         outputs.alarms([one])
     assert alarms(node) == [False, True, False]
 
@@ -268,7 +268,7 @@ def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
     one = result(1, 1.0)
-    one.deferred.alarm = np.array([True])
+    one.update.alarm = np.array([True])
     outputs.alarms([one])
     outputs.alarm('motor', False)  # a checkpoint was loaded in which it did not stand
     outputs.alarms([one])

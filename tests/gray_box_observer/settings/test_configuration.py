@@ -11,12 +11,13 @@ from gray_box_observer.context_nodes import GradientSettings, VerdictSettings
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import TrainingSettings, Variant
 from gray_box_observer.samples.pairing import PairingSettings
-from gray_box_observer.settings.configuration import RESERVED, Configuration, flatten
+from gray_box_observer.settings.configuration import RESERVED, Configuration
 from gray_box_observer.settings.parameters import (
     KNOWN_PARAMETERS,
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
 )
+from gray_box_observer.settings.ros_parameter_file import flatten
 from gray_box_observer.white_box import TERMS
 
 HEAD = '/**:\n  ros__parameters:\n'

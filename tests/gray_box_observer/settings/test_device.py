@@ -17,6 +17,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import builder, observer
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import (
+    Forecasting,
     InlineTraining,
     Predictor,
     TrainingSettings,
@@ -178,11 +179,11 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
         ('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01}
     )
     rules, theta = TrainingSettings(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
-    one = Predictor(
-        box, 2, theta[0], rules,
+    one = Forecasting(
+        Predictor(box, 2, theta[0], rules, speed_measured=False, device=torch_name),
+        rules,
         InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
-        speed_measured=False, device=torch_name,
-    )  # fmt: skip
+    )
     voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)
     for k in range(2):
         sample = Sample(k * 10_000_000, interval * k, voltage, torque, 0.0 * torque)
@@ -284,12 +285,12 @@ def test_a_group_is_observed_alike_by_torch_and_without(
             np.testing.assert_allclose(said[1], said[0], rtol=1e-6, atol=1e-12)
             compared += 1
     assert compared > 1000
-    ours, theirs = (one.group_of('a').observer.predictor for one in both)
+    ours, theirs = (one.group_of('a').observer.forecasting for one in both)
     interval, voltage = np.full(3, 0.01), np.full(3, 9.0)
     made = [
         one.predict(interval, voltage, np.tile([0.5, 1.0, 10.0], (3, 1))) for one in (ours, theirs)
     ]
-    assert [type(one._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
+    assert [type(one.predictor._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
     assert [type(prediction.memory.hidden) for prediction in made] == [np.ndarray, torch.Tensor]
     for name in names:
         (ours, _), (theirs, _) = (one.estimate_of(name) for one in reversed(both))

@@ -12,15 +12,15 @@ import pytest
 
 from gray_box_observer.errors import BagError
 from gray_box_observer.watching import recorded_run
-from gray_box_observer.watching.recorded_run import Playing, watch_bag
+from gray_box_observer.watching.recorded_run import Playback, watch_bag
 from gray_box_observer.watching.table_display import TableDisplay
 
 MODERATE = Path(__file__).resolve().parents[3] / 'bags' / 'moderate'
 
 
-def shown(bag: Path, playing: Playing | None = None) -> str:
+def shown(bag: Path, playback: Playback | None = None) -> str:
     stream = io.StringIO()
-    assert watch_bag(bag, {}, playing or Playing(), TableDisplay(stream)) == []
+    assert watch_bag(bag, {}, playback or Playback(), TableDisplay(stream)) == []
     return stream.getvalue()
 
 
@@ -45,7 +45,7 @@ def test_the_rate_is_that_of_the_bag(monkeypatch: pytest.MonkeyPatch) -> None:
             waited_ns.append(at_ns - self.start_ns)
 
     monkeypatch.setattr(recorded_run, 'Pacer', Pacer)
-    shown(MODERATE, Playing(rate=5.0, period_s=0.0))
+    shown(MODERATE, Playback(rate=5.0, period_s=0.0))
     assert waited_ns == sorted(waited_ns)
     assert waited_ns[-1] > 5e9
 
@@ -106,7 +106,7 @@ def test_a_recorded_observer_is_shown_as_it_was(
     assert 'bag  3.0 s' in text and '/r1/o  1 motor, 0 identified' in text
     assert '3  ± 0.2' in text and 'misfit' in text and 'mend it' in text
     with pytest.raises(BagError, match='holds no estimates of /r2/o'):
-        shown(tmp_path / 'bag', Playing(observers=('/r2/o',)))
+        shown(tmp_path / 'bag', Playback(observers=('/r2/o',)))
 
 
 def test_a_bag_without_a_usable_sample_is_refused(tmp_path: Path) -> None:

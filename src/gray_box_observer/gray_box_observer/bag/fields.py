@@ -102,6 +102,11 @@ class FieldPath:
         """Names of fields, indices, and names of entries."""
         return self._steps
 
+    @property
+    def plain_getter(self) -> Callable[[Any], Any]:
+        """The same without a word of what is missing: for types that are known to have the field."""
+        return self._get
+
     def __repr__(self) -> str:
         return f'FieldPath({self.text!r})'
 

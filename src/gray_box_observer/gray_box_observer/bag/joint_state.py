@@ -7,8 +7,9 @@ encapsulation, then every value aligned to its own size, counted from behind the
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 from gray_box_observer.errors import SampleError
 from gray_box_observer.safe_io.bounded_cache import (
@@ -50,7 +51,18 @@ class JointStateView(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Offsets in messages that agree in length, byte order, frame, names and array lengths."""
+    """Offsets in messages that agree in length, byte order, frame, names and array lengths.
+
+    Attributes:
+        encapsulation: the first two bytes.
+        prefix: frame and names.
+        prefix_end: where they end.
+        numbers: stamp, and length and values of every array.
+        names: one per motor.
+        counts: lengths of the arrays.
+        counts_of: finds these among the numbers.
+        arrays: where the values of every array stand among the numbers.
+    """
 
     encapsulation: bytes
     prefix: bytes
@@ -58,25 +70,19 @@ class _Layout(NamedTuple):
     numbers: struct.Struct
     names: tuple[str, ...]
     counts: tuple[int, int, int]
+    counts_of: Callable[[tuple[Any, ...]], tuple[int, int, int]]
+    arrays: tuple[slice, slice, slice]
 
     def view(self, data: bytes) -> JointStateView | None:
         """The message's content, or None if its arrays have other lengths than this layout."""
         flat = self.numbers.unpack_from(data)
-        n_position, n_velocity, n_effort = self.counts
-        after_position = 3 + n_position
-        after_velocity = after_position + 1 + n_velocity
-        if (
-            flat[2] != n_position
-            or flat[after_position] != n_velocity
-            or flat[after_velocity] != n_effort
-        ):
+        if self.counts_of(flat) != self.counts:
             return None
-        return JointStateView(
-            flat[0] * 1_000_000_000 + flat[1],
-            self.names,
-            flat[3:after_position],
-            flat[after_position + 1 : after_velocity],
-            flat[after_velocity + 1 :],
+        position, velocity, effort = self.arrays
+        stamp_ns = flat[0] * 1_000_000_000 + flat[1]
+        # As JointStateView(...) does, without the call that every message would pay for.
+        return tuple.__new__(
+            JointStateView, (stamp_ns, self.names, flat[position], flat[velocity], flat[effort])
         )
 
 
@@ -196,6 +202,8 @@ def _layout(data: bytes) -> _Layout:
             form.append(f'{start - end}x{count}d')
             end = cursor.at
         counts.append(count)
+    after_position = 3 + counts[0]
+    after_velocity = after_position + 1 + counts[1]
     return _Layout(
         encapsulation,
         bytes(data[_PREFIX_START:prefix_end]),
@@ -203,6 +211,12 @@ def _layout(data: bytes) -> _Layout:
         struct.Struct(''.join(form)),
         names,
         (counts[0], counts[1], counts[2]),
+        itemgetter(2, after_position, after_velocity),
+        (
+            slice(3, after_position),
+            slice(after_position + 1, after_velocity),
+            slice(after_velocity + 1, None),
+        ),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 
 KB = 'back_emf_constant'

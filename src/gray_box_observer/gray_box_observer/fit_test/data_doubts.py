@@ -24,7 +24,7 @@ from gray_box_observer.fit_test.back_emf_fit import (
 )
 from gray_box_observer.samples.noise_floor import quantisation_step
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
+from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

@@ -18,7 +18,7 @@ from gray_box_observer.fit_test.data_doubts import (
     LEAST_BATTERY_V,
     STDS_FROM_SHEET,
 )
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
 

@@ -83,10 +83,9 @@ class FreeRun:
         Returns:
             Shape (voltage, k + 1), in A.
         """
-        inputs = np.where(self.stretch.restart, 0.0, voltages_v * self.reach_s / self.inductance_h)
-        rows: Array = recurrence(self.decay[None], inputs[:, None], np.zeros((inputs.shape[0], 1)))[
-            :, 0
-        ]
+        gain = np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
+        inputs = (voltages_v * gain)[:, None]
+        rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
         return rows
 
 

@@ -252,8 +252,8 @@ class _Projection:
 
     def without(self, signals: Array) -> Array:
         """Return what the columns do not explain of signals, shape (..., sample)."""
-        rest: Array = signals - (signals @ self._q) @ self._q.T
-        return rest
+        part: Array = (signals @ self._q) @ self._q.T
+        return np.subtract(signals, part, out=part)
 
     def shift(self, signal: Array) -> Array:
         """Return the response of the log-parameters to a misread signal, shape (parameter,)."""

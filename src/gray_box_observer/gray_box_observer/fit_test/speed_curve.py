@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE
-from gray_box_observer.settings.configuration import BACK_EMF
+from gray_box_observer.settings.motor_configuration import BACK_EMF
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

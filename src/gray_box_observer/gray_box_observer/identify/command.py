@@ -31,8 +31,9 @@ from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.safe_io.finite import plain
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.standard_streams import readers_may_leave
-from gray_box_observer.settings.configuration import Configuration, read_parameter_file
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.parameter_names import nearest
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
     from gray_box_observer.csv_import.column_mapping import CsvMapping

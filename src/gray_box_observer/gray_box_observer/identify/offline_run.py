@@ -117,10 +117,10 @@ def run(
             if course is None:
                 course = courses[result.motor] = Course(result.sample.stamp_ns)
             course.update(result)
-            motor = observer.motors.get(result.motor)  # none where it has stopped since
-            if motor is not None and result.estimate is not None:
-                course.count_changes(motor.changes)
             if result.estimate is not None:
+                motor = observer.motors.get(result.motor)  # none where it has stopped since
+                if motor is not None:
+                    course.count_changes(motor.changes)
                 digest.update(result.motor.encode())
                 digest.update(np.int64(result.estimate.stamp_ns).tobytes())
                 digest.update(result.estimate.value.tobytes())

@@ -25,12 +25,18 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.observer.motor_form import Forecasting, MotorForm
+from gray_box_observer.observer.motor_form import (
+    MEASURED,
+    ROTOR,
+    THESIS,
+    MotorForm,
+)
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.scale_doubt import scale_doubt
-from gray_box_observer.observer.speed_choice import MEASURED, ROTOR, THESIS, SpeedChoice
+from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.predictor import (
     AlarmSettings,
+    Forecasting,
     Predictor,
     ResidualAlarm,
     RotorPredictor,
@@ -40,8 +46,9 @@ from gray_box_observer.predictor import (
     Variant,
 )
 from gray_box_observer.samples.pairing import PairingSettings
-from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.settings.parameters import KNOWN_PARAMETERS
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -115,14 +122,11 @@ def _form(
             gap_s=configuration['gap_s'],
         )
 
-    def make_forecasting() -> Forecasting:
+    def make_forecasting() -> Forecasting | None:
         is_physics = configuration['variant'] == Variant.PHYSICS.value
         if training is None or (white_box.has_rotor and not is_physics):
-            return None, None  # the networks of the thesis know no hidden speed
-        predictor = _predictor(configuration, motors, white_box, training)
-        if not is_physics:
-            return predictor, None
-        return predictor, ResidualAlarm(len(motors), alarm_rules(configuration))
+            return None  # the networks of the thesis know no hidden speed
+        return _forecasting(configuration, motors, white_box, training)
 
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
@@ -268,12 +272,13 @@ def alarm_rules(configuration: Configuration) -> AlarmSettings:
     return AlarmSettings(**configuration.group('alarm'))
 
 
-def _predictor(
+def _forecasting(
     configuration: Configuration,
     motors: Sequence[MotorConfiguration],
     white_box: MotorWhiteBox,
     training: TrainingFactory,
-) -> TorquePredictor:
+) -> Forecasting:
+    """Make what predicts torque, is trained, and raises the alarm."""
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
@@ -293,13 +298,17 @@ def _predictor(
         'theta_reference': initial.tolist(),
         'seed': seed,
     }
+    is_physics = rules.variant is Variant.PHYSICS
+    alarm = ResidualAlarm(count, alarm_rules(configuration)) if is_physics else None
+    predictor: TorquePredictor
     if white_box.has_rotor:
-        return RotorPredictor(white_box, rules, training(job))
-    speed_measured = white_box.speed_measured
-    return Predictor(
-        white_box, count, initial, rules, training(job), speed_measured=speed_measured, seed=seed,
-        device=device
-    )  # fmt: skip
+        predictor = RotorPredictor(white_box)
+    else:
+        predictor = Predictor(
+            white_box, count, initial, rules, speed_measured=white_box.speed_measured, seed=seed,
+            device=device,
+        )  # fmt: skip
+    return Forecasting(predictor, rules, training(job), alarm)
 
 
 def _seed(configuration: Configuration, motor: MotorConfiguration) -> int:

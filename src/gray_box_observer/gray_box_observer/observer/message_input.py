@@ -102,15 +102,15 @@ class MessageInput:
         if signal is None:
             return self._ingest_combined(name, topic, message, arrival_ns)
         self.message_counts[name] += 1
+        stamp_ns = None
         try:
             stamp_ns = stamp_of(message, arrival_ns)
-        except (SampleError, TypeError, ValueError, OverflowError, AttributeError):
-            self.rejection_counts[name][Rejection.MALFORMED] += 1
-            return InputResult(0, (), [])
-        try:
             names, values, has_our_motor = signal.read(message)
-            speeds = self._speeds(message) if name == 'torque' else None
+            speeds = self._speeds(message) if name == 'torque' and self._brings_speed else None
         except _UNREADABLE as error:
+            if stamp_ns is None:  # of what it holds nothing was looked at
+                self.rejection_counts[name][Rejection.MALFORMED] += 1
+                return InputResult(0, (), [])
             self._complain(name, Rejection.MALFORMED, error)
             return InputResult(stamp_ns, (), [])
         if not has_our_motor:
@@ -173,8 +173,6 @@ class MessageInput:
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
         """Speeds from the torque message's velocity; None if absent or on a topic of their own."""
-        if not self._brings_speed:
-            return None
         if self._speed_path is not None:  # of the entry that the torque is of
             return self._speed_of_entry(message)
         velocity = getattr(message, 'velocity', None)

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import leaky_mean
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box.interface import Array
 
@@ -141,3 +143,30 @@ def _share_left(voltage_v: Array, torque_nm: Array, own: Array) -> float:
     weights = np.linalg.lstsq(sums[:, :-1], sums[:, -1], rcond=1e-9)[0]
     rest = sums[:, -1] - sums[:, :-1] @ weights
     return float(rest @ rest)
+
+
+class MixUpSearch:
+    """Searches for mixed up names among the motors of an observer, once after every test."""
+
+    def __init__(self) -> None:
+        self._answers: dict[str, tuple[FitAssessment, MixUp | None]] = {}
+
+    def find(self, motor: str, motors: Mapping[str, MotorView]) -> MixUp | None:
+        """Return the motor that one which does not fit is mixed up with; None where none is.
+
+        Args:
+            motor: its name.
+            motors: all that have been seen.
+        """
+        if motor not in motors or not 2 <= len(motors) <= MOST_COMPARED:
+            return None
+        fit = motors[motor].fit
+        if fit.verdict is not FitVerdict.MISFIT:
+            return None
+        last_fit, answer = self._answers.get(motor, (None, None))
+        if last_fit != fit:  # asked again where a test has found something else
+            misfits = [n for n in motors if motors[n].fit.verdict is FitVerdict.MISFIT]
+            samples = {n: motors[n].newest(COMPARED) for n in (motor, *misfits)}
+            answer = mix_up(motor, samples)
+            self._answers[motor] = fit, answer
+        return answer

@@ -14,18 +14,22 @@ from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.predictor import ResidualAlarm, TorquePredictor
+from gray_box_observer.predictor import Forecasting
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 
+THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
+"""Sources of a motor's speed."""
+
+OTHER = {THESIS: ROTOR, ROTOR: THESIS}
+
+IN_WORDS = {THESIS: 'a speed of Kt i', ROTOR: 'a rotor'}
+
 WORK_A_SAMPLE = 8
 """Work of a fit of the thesis's form, and of a test of the fit, for each of its samples."""
-
-Forecasting = tuple[TorquePredictor | None, ResidualAlarm | None]
-"""What predicts torque, and what watches the prediction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +41,8 @@ class MotorForm:
         context_nodes: the rule that learns the parameters.
         delay: asks whether voltage and torque are shifted against each other.
         fit: asks whether the white box explains the data.
-        make_forecasting: makes predictor and alarm, which cost a process: only of a form that is
-            used.
+        make_forecasting: makes what predicts torque, and costs a process: only of a form that is
+            used; None where nothing predicts.
         scales: what is not known of the scales of the signals; None where nothing is said of it.
     """
 
@@ -46,7 +50,7 @@ class MotorForm:
     context_nodes: ContextUpdate
     delay: DelayWatch | DelayRound
     fit: FitMonitor
-    make_forecasting: Callable[[], Forecasting]
+    make_forecasting: Callable[[], Forecasting | None]
     scales: ScaleDoubt | None = None
 
     @property

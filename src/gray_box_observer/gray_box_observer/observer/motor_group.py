@@ -77,17 +77,17 @@ class GroupResult:
         group: the motors.
         sample: the sample that was learnt.
         prediction: what had been predicted of it; None without predictor.
-        changed: places on the motor axis of those whose estimate has changed.
+        changed_motors: places on the motor axis of those whose estimate has changed.
         estimate: their new estimates, in that order; None where there is none.
-        deferred: what it leaves to be done.
+        update: what it leaves to be done.
     """
 
     group: Group
     sample: Sample
     prediction: Prediction | None
-    changed: NDArray[np.intp]
+    changed_motors: NDArray[np.intp]
     estimate: Estimate | None
-    deferred: DeferredUpdate
+    update: DeferredUpdate
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
@@ -95,27 +95,31 @@ class GroupResult:
 
         Ask when all else of the result has gone out: it takes the work that was left for then.
         """
-        deferred = self.deferred
-        if deferred.alarm is None and self.group.observer is not None:
+        update = self.update
+        if update.alarm is None and self.group.observer is not None:
             self.group.observer.run_deferred()
-        assert deferred.alarm is not None
-        return deferred.alarm
+        assert update.alarm is not None
+        return update.alarm
 
     @property
     def speed(self) -> SpeedEstimate | None:
         """Speed at the sample, of a motor with a rotor, which comes alone."""
-        return self.deferred.speed
+        return self.update.speed
 
     def __iter__(self) -> Iterator[Result]:
+        return iter(self.motor_results())
+
+    def motor_results(self) -> list[Result]:
+        """Return the result of every motor that the sample speaks of."""
         names = self.group.names
         if len(names) > 1:
-            return self._motor_by_motor()
-        alarm, speed = bool(self.alarm[0]), self.deferred.speed
-        return iter((Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed),))
+            return list(self._motor_by_motor())
+        alarm, speed = bool(self.alarm[0]), self.update.speed
+        return [Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed)]
 
     def _motor_by_motor(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction
-        row = dict(zip(self.changed.tolist(), range(self.changed.size), strict=True))
+        row = dict(zip(self.changed_motors.tolist(), range(self.changed_motors.size), strict=True))
         for motor, name in enumerate(names):
             if sample.present is not None and not sample.present[motor]:
                 continue

@@ -11,23 +11,22 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes import (
     ContextUpdate,
     Estimate,
-    MeasuredSpeedUpdate,
     RotorUpdate,
     VerdictSettings,
 )
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
-from gray_box_observer.predictor import AlarmSettings, Prediction, ResidualAlarm, TorquePredictor
+from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -39,7 +38,7 @@ class DeferredUpdate:
     Attributes:
         sample: the sample.
         prediction: what had been predicted of it; None without predictor.
-        theta, covariance, identified: what was believed before it was learnt.
+        theta, covariance, is_identified: what was believed before it was learnt.
         followed: whether the predictor has gone on from it.
         speed: of a motor with a rotor, at the sample; None where none may be believed.
         followed_speed: the same, believed or not: where a prediction may begin.
@@ -51,7 +50,7 @@ class DeferredUpdate:
     prediction: Prediction | None
     theta: Array
     covariance: Array
-    identified: NDArray[np.bool_]
+    is_identified: NDArray[np.bool_]
     speed: SpeedEstimate | None = None
     followed_speed: SpeedEstimate | None = None
     is_followed: bool = False
@@ -62,7 +61,7 @@ class MotorObserver:
     """White box, context nodes and predictor of motors that are sampled together.
 
     Whoever waits for a sample's prediction and estimates gets them first: alarm, scores and
-    training follow when something of them is asked for (:attr:`predictor`, :attr:`alarm`), with
+    training follow when something of them is asked for (:attr:`forecasting`, :attr:`alarm`), with
     :meth:`run_deferred`, or before the next sample. What comes of it is the same whenever that is.
 
     Args:
@@ -72,19 +71,18 @@ class MotorObserver:
 
     Attributes:
         motors: how many they are.
-        changed: whose estimates the last sample has changed, by their places on the motor axis.
+        changed_motors: whose estimates the last sample has changed, by places on the motor axis.
     """
 
     def __init__(self, form: MotorForm, speed_choice: SpeedChoice) -> None:
         self.speed_choice = speed_choice
         self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
-        self._retested: dict[int, bool] = {}
-        self._deferred: DeferredUpdate | None = None
+        self._retests: dict[int, bool] = {}
+        self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
         self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
         self._interval_s, self._evenly = np.empty(0), False
         self.motors = form.context_nodes.theta.shape[0]
-        self._places = np.arange(self.motors)
         self._nobody = np.zeros(self.motors, dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
         self._use(form)
@@ -95,36 +93,26 @@ class MotorObserver:
         self.context_nodes = form.context_nodes
         self.delay = form.delay
         self._fit = form.fit
-        self._scales = form.scales
-        self._predictor, self._alarm = form.make_forecasting()
+        self._belief = ParameterBelief(form)
+        self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
-        self._precomputed: tuple[bytes, Prediction] | None = None
-        self._is_identified = self._nobody
-        nodes = form.context_nodes
-        parameters = (
-            nodes.published_parameters
-            if isinstance(nodes, MeasuredSpeedUpdate)
-            else form.white_box.parameters
-        )
-        electrical = len(form.white_box.parameters)
-        self._mechanics = tuple(p.name for p in parameters[electrical:])
-        shape = (self.motors, len(parameters))
-        self._known_parameters = np.zeros(shape, dtype=bool)
-        self._know(self._believed(slice(None)), slice(None))
+        self._forecast_ahead: tuple[bytes, Prediction] | None = None
+        self._know(self._believed())
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
-        if self._predictor is None:
+        if self._forecasting is None:
             return None
-        if self._predictor.training.due_next:
+        if self._forecasting.training.due_next:
             self.run_deferred()
         self._follow()
         request = interval_s.tobytes() + voltage_v.tobytes()
-        if self._precomputed is None or self._precomputed[0] != request:
-            self._precomputed = request, self._predictor.predict(interval_s, voltage_v, self._theta)
-        return self._precomputed[1]
+        if self._forecast_ahead is None or self._forecast_ahead[0] != request:
+            prediction = self._forecasting.predict(interval_s, voltage_v, self._belief.theta)
+            self._forecast_ahead = request, prediction
+        return self._forecast_ahead[1]
 
     def precompute_forecast(self, voltage_v: Any) -> None:
         """Work out the next prediction while nobody waits for it; changes only its timing.
@@ -149,15 +137,15 @@ class MotorObserver:
             horizon_s: how long it is held.
             voltage_v: the voltage.
         """
-        if self.predictor is None:
+        if self.forecasting is None:
             return None
         since = (
             None
             if ahead is None
             else self.predict(*(np.full(self.motors, value) for value in ahead))
         )
-        return self.predictor.forecast(
-            horizon_s, np.full(self.motors, voltage_v), self._theta, since
+        return self.forecasting.forecast(
+            horizon_s, np.full(self.motors, voltage_v), self._belief.theta, since
         )
 
     def step(self, sample: Sample) -> tuple[DeferredUpdate, Estimate | None]:
@@ -167,23 +155,24 @@ class MotorObserver:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if self._deferred is not None or self._tests:
+        if self._deferred_update is not None or self._tests:
             self.run_deferred()
         prediction = (
-            None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
+            None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
-        deferred = DeferredUpdate(
-            sample, prediction, self._theta, self._covariance, self._is_identified
+        belief = self._belief
+        update = DeferredUpdate(
+            sample, prediction, belief.theta, belief.covariance, belief.is_identified
         )
         estimate = self.update_parameters(sample)
         if self._speed is not None:
-            deferred.speed = self._speed.step(sample, self._theta[0])
-            deferred.followed_speed = self._speed.estimate
-        if self._predictor is None and self.speed_choice.is_idle:
-            deferred.alarm = self.alarmed  # nothing is left to be done
+            update.speed = self._speed.step(sample, self._belief.theta[0])
+            update.followed_speed = self._speed.estimate
+        if self._forecasting is None and self.speed_choice.is_idle:
+            update.alarm = self.alarmed  # nothing is left to be done
         else:
-            self._deferred = deferred
-        return deferred, estimate
+            self._deferred_update = update
+        return update, estimate
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
@@ -192,25 +181,28 @@ class MotorObserver:
             for motor, is_recent in tests:
                 estimate = self._test(motor, is_out=True, is_recent=is_recent)
                 self._know(estimate, slice(motor, motor + 1))
-        deferred = self._deferred
-        if deferred is None:
+        update = self._deferred_update
+        if update is None:
             return
-        self._judge_prediction(deferred)
+        self._judge_prediction(update)
         if not (self.speed_choice.is_idle or self._is_frozen):
-            self._try_other_form(deferred.sample)
+            self._try_other_form(update.sample)
 
-    def _judge_prediction(self, deferred: DeferredUpdate) -> None:
+    def _judge_prediction(self, update: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
         self._follow()
-        self._deferred = None
-        sample, prediction = deferred.sample, deferred.prediction
-        if self._alarm is not None and prediction is not None:
-            self._alarm.update(
-                sample.torque_nm - prediction.torque_nm, sample.interval_s, deferred.identified
+        self._deferred_update = None
+        sample, prediction = update.sample, update.prediction
+        forecasting = self._forecasting
+        if forecasting is None or prediction is None:
+            update.alarm = self.alarmed
+            return
+        if forecasting.alarm is not None:
+            forecasting.alarm.update(
+                sample.torque_nm - prediction.torque_nm, sample.interval_s, update.is_identified
             )
-        deferred.alarm = self.alarmed
-        if self._predictor is not None and prediction is not None:
-            self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
+        update.alarm = self.alarmed
+        forecasting.score_and_train(sample, prediction, update.theta, update.covariance)
 
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
@@ -228,53 +220,55 @@ class MotorObserver:
         """Observe the motor by another form, where there is one."""
         if form is None:
             return
-        if self._predictor is not None:
-            self._predictor.training.close()
+        self.close()
         self._use(form)
-        self._retested[0] = True
+        self._retests[0] = True
         if self._live_settings is not None:
             self.reconfigure(*self._live_settings)
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
-        deferred = self._deferred
-        if deferred is None or deferred.is_followed:
+        update = self._deferred_update
+        if update is None or update.is_followed:
             return
-        deferred.is_followed = True
-        if self._predictor is not None and deferred.prediction is not None:
+        update.is_followed = True
+        if self._forecasting is not None and update.prediction is not None:
             try:
-                self._predictor.advance(
-                    deferred.sample, deferred.prediction, deferred.followed_speed
+                self._forecasting.predictor.advance(
+                    update.sample, update.prediction, update.followed_speed
                 )
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
-                self._deferred = None
+                self._deferred_update = None
                 raise
 
     @property
-    def predictor(self) -> TorquePredictor | None:
-        """Forecasts torque, all samples learnt; None where there is none."""
+    def forecasting(self) -> Forecasting | None:
+        """Forecasts torque, all samples learnt; None where nothing does."""
         self.run_deferred()
-        return self._predictor
+        return self._forecasting
 
     @property
     def alarm(self) -> ResidualAlarm | None:
         """Watches the prediction's residual; None where no prediction is good enough."""
-        self.run_deferred()
-        return self._alarm
+        forecasting = self.forecasting
+        return None if forecasting is None else forecasting.alarm
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
         has_changed = self.context_nodes.learn(sample)
-        if self._predictor is not None:
-            self._precomputed = None
+        if self._forecasting is not None:
+            self._forecast_ahead = None
             self._evenly = np.array_equal(sample.interval_s, self._interval_s)
             self._interval_s = sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
-            has_rotor = self._speed is not None
-            if has_rotor and not self._tests and self._fit.is_stale(self.context_nodes, 0):
+            if (
+                self._speed is not None
+                and not self._tests
+                and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
+            ):
                 self._tests.append((0, True))
             return None
         self.changed_motors = (
@@ -285,39 +279,25 @@ class MotorObserver:
         )
         estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
         self._know(estimate, motors)
-        return self._published(estimate, self.changed_motors)
+        return self._belief.published(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of all or some motors, as far as fit and scales allow."""
-        return self._published(self._believed(motors), self._places[motors])
+        return self._belief.published(self._believed(motors), motors)
 
-    def _believed(self, motors: Any) -> Estimate:
+    def _believed(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of all or some motors, believed as far as the fit allows."""
         self.run_deferred()
-        estimate = self.context_nodes.estimate(motors)
-        return self._fit.judged(self.context_nodes, estimate, self._places[motors])
-
-    def _published(self, estimate: Estimate, motors: NDArray[np.intp]) -> Estimate:
-        """Add a measured rotor's parameters, and what is not known of the scales.
-
-        Both are told, and nothing leans on them.
-        """
-        nodes = self.context_nodes
-        if self._mechanics:
-            assert isinstance(nodes, MeasuredSpeedUpdate)
-            is_believed = self._fit.assessment(0).verdict is not FitVerdict.MISFIT
-            estimate = nodes.with_mechanics(estimate, is_believed=is_believed)
-        if self._scales is None:
-            return estimate
-        return self._scales.widened(nodes, estimate, motors, nodes.verdict_rules)
+        return self._belief.present(motors)
 
     def _limit_by_fit(self, estimate: Estimate) -> Estimate:
         """Test the fit of motors with changed estimates; return these as far as believable.
 
         Who waits for nothing is tested when the sample's results are out.
         """
-        for motor in self._fit.due(self.context_nodes, estimate, self.changed_motors):
-            if self._fit.is_urgent(motor):
+        schedule = self._fit.schedule
+        for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
+            if schedule.is_urgent(motor):
                 self._test(motor, is_out=False)
             else:
                 self._tests.append((motor, False))
@@ -326,11 +306,11 @@ class MotorObserver:
     def retested(self) -> dict[int, bool]:
         """Return whose fit was tested since the last call, and whether their belief has changed.
 
-        Belief that has not gone out yet does not count as changed.
+        ParameterBelief that has not gone out yet does not count as changed.
         """
         self.run_deferred()
-        retested, self._retested = self._retested, {}
-        return dict(sorted(retested.items()))
+        retests, self._retests = self._retests, {}
+        return dict(sorted(retests.items()))
 
     def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
         """Test the fit of one motor; return its estimate as far as that lets it be believed.
@@ -340,61 +320,38 @@ class MotorObserver:
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
         """
-        one = slice(motor, motor + 1)
-        estimate = self.context_nodes.estimate(one)
-        before = self._fit.judged(self.context_nodes, estimate, self._places[one])
-        self._fit.test(
-            self.context_nodes, estimate, motor, self.delay_of(motor), is_recent=is_recent
-        )
+        estimate, has_changed = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
         self.speed_choice.wake()
-        after = self._fit.judged(self.context_nodes, estimate, self._places[one])
-        has_changed = before.verdicts != after.verdicts or not np.array_equal(
-            before.covariance, after.covariance
-        )
-        self._retested[motor] = self._retested.get(motor, False) or (is_out and has_changed)
-        return after
+        self._retests[motor] = self._retests.get(motor, False) or (is_out and has_changed)
+        return estimate
 
-    def _know(self, estimate: Estimate, motors: Any) -> None:
-        """Keep the beliefs of some motors, and whether all is identified; freezing keeps both.
-
-        What was believed before may still be needed: it is replaced, never written to.
-        """
-        if not self._is_frozen:
-            self._is_identified = self._is_identified.copy()
-            known = _known_flags(estimate)
-            self._is_identified[motors] = known.all(axis=1)
-            published = self._published(estimate, self._places[motors])
-            self._known_parameters[motors] = (
-                known if published is estimate else _known_flags(published)
-            )
-        if estimate.value.shape[0] == self.motors:
-            self._theta, self._covariance = estimate.value, estimate.covariance
-        else:
-            self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
-            self._theta[motors], self._covariance[motors] = estimate.value, estimate.covariance
+    def _know(self, estimate: Estimate, motors: Any = slice(None)) -> None:
+        """Keep the beliefs of all or some motors."""
+        belief = self._belief
+        belief.keep(estimate, motors, is_frozen=self._is_frozen)
         if self._speed is not None:
-            self._speed.believe(self._theta[0], self._covariance[0], self._fit.assessment(0))
+            self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
         self.run_deferred()
         self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
-        if self.predictor is not None:
-            self.predictor.training.freeze(is_frozen)
+        if self._forecasting is not None:
+            self._forecasting.training.freeze(is_frozen)
 
     @property
     def identified(self) -> bool:
         """Whether every parameter was identified when learning last went on, before a freeze."""
-        return bool(self._known_parameters.all())
+        return bool(self._belief.known_flags.all())
 
     def identified_of(self, motor: int) -> bool:
         """The same of one motor."""
-        return bool(self._known_parameters[motor].all())
+        return bool(self._belief.known_flags[motor].all())
 
     def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
         """The same of every parameter of one motor."""
-        return tuple(self._known_parameters[motor].tolist())
+        return tuple(self._belief.known_flags[motor].tolist())
 
     @property
     def speed(self) -> SpeedEstimate | None:
@@ -429,19 +386,20 @@ class MotorObserver:
         """Take over settings that may change at any time; what was learnt stays."""
         self._live_settings = verdicts, alarm, core_share
         self.context_nodes.verdict_rules = verdicts
-        self._know(self._believed(slice(None)), slice(None))
+        self._know(self._believed())
         if self.alarm is not None:
             self.alarm.rules = alarm
-        if self.predictor is not None:
-            self.predictor.training.share(core_share)
+        if self.forecasting is not None:
+            self.forecasting.training.share(core_share)
 
     @property
     def alarmed(self) -> NDArray[np.bool_]:
         """For which of these motors the alarm stands, shape (motor,)."""
-        if self._alarm is None:
+        alarm = None if self._forecasting is None else self._forecasting.alarm
+        if alarm is None:
             return self._nobody
         self.run_deferred()
-        return self._alarm.is_raised
+        return alarm.is_raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Restart with new context nodes from samples paired anew; the network trains on.
@@ -457,15 +415,16 @@ class MotorObserver:
         plain, arrays = context_nodes.state()
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
         context_nodes.learn(samples[-1])
-        self.context_nodes = context_nodes
-        if self.predictor is not None:
-            self.predictor.training.refill(content)
-        if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
-            self.alarm.relearn()
+        self.context_nodes = self._belief.context_nodes = context_nodes
+        forecasting = self._forecasting
+        if forecasting is not None:
+            forecasting.training.refill(content)
+            if forecasting.alarm is not None:  # it has learnt residuals of the delay before
+                forecasting.alarm.relearn()
         self._fit.forget()
-        self._retested.update(dict.fromkeys(range(self.motors), True))
-        self._know(self._believed(slice(None)), slice(None))
-        self._precomputed = None
+        self._retests.update(dict.fromkeys(range(self.motors), True))
+        self._know(self._believed())
+        self._forecast_ahead = None
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""
@@ -482,18 +441,19 @@ class MotorObserver:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
         self.run_deferred()
         plain, arrays = self.context_nodes.state(motor)
-        network = {} if self.predictor is None else self.predictor.state(motor)
+        network = {} if self._forecasting is None else self._forecasting.state(motor)
         delay = (
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
-        received = int(self.context_nodes.replay.received[motor])
-        speed, trial = self.speed_choice.state(received)
+        place = int(self.context_nodes.replay.received[motor])
+        speed, trial = self.speed_choice.state(place)
+        mechanics = self._belief.mechanics
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
-            **({'mechanics': list(self._mechanics)} if self._mechanics else {}),
+            **({'mechanics': list(mechanics)} if mechanics else {}),
             'delay': delay,
-            'fit': self._fit.state(motor, received),
+            'fit': self._fit.state(motor, place),
             'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
@@ -508,8 +468,8 @@ class MotorObserver:
 
     def close(self) -> None:
         """Stop training."""
-        if self._predictor is not None:
-            self._predictor.training.close()
+        if self._forecasting is not None:
+            self._forecasting.training.close()
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor.
@@ -519,36 +479,30 @@ class MotorObserver:
             CheckpointError: it is no state that could have been learnt.
         """
         motor_slice = slice(motor, motor + 1)
-        if plain.get('mechanics', []) != list(self._mechanics):
+        if plain.get('mechanics', []) != list(self._belief.mechanics):
             raise ConfigurationError(
                 'the checkpoint was learnt with other parameters of the rotor among context_nodes'
             )
         flag(plain, 'identified')
-        identified_flags = entry(plain, 'identified_parameters')
-        if (
-            not isinstance(identified_flags, list)
-            or [type(one) for one in identified_flags] != [bool] * self._known_parameters.shape[1]
-        ):
-            raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
+        flags = entry(plain, 'identified_parameters')
+        self._belief.check_flags(flags)
         self.context_nodes.restore(
             dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
         )
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
-        received = int(self.context_nodes.replay.received[motor])
-        self._fit.restore(dict(group(plain, 'fit')), motor, received)
+        place = int(self.context_nodes.replay.received[motor])
+        self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.speed_choice.restore(
-                group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, received
+                group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place
             )
         self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
-            self._is_identified = self._is_identified.copy()
-            self._is_identified[motor_slice] = plain['identified']
-            self._known_parameters[motor_slice] = identified_flags
-        if self.predictor is not None:
-            self.predictor.restore(_group(arrays, 'network'), motor)
+            self._belief.restore_flags(motor, plain['identified'], flags)
+        if self.forecasting is not None:
+            self.forecasting.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
             self.alarm.restore(alarm, motor)
@@ -560,11 +514,6 @@ class MotorObserver:
 
 _NOBODY = np.arange(0)
 _FIRST = np.arange(1)
-
-
-def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:
-    """Tell of every motor and parameter whether it counts as known, shape (motor, parameter)."""
-    return np.array([[v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts])
 
 
 def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:

@@ -19,7 +19,7 @@ from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -154,11 +154,11 @@ class MotorView:
     @property
     def training(self) -> TrainingView | None:
         """How its network is trained; None where there is no predictor."""
-        predictor = self.observer.predictor
-        if predictor is None:
+        forecasting = self.observer.forecasting
+        if forecasting is None:
             return None
-        size_nm = float(predictor.residual.size_nm[self.place])
-        training = predictor.training
+        size_nm = float(forecasting.predictor.residual.size_nm[self.place])
+        training = forecasting.training
         return TrainingView(training.failure, training.jobs_done, training.jobs_late, size_nm)
 
     @property

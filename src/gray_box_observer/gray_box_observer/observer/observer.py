@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.builder import (
     TrainingFactory,
     alarm_rules,
@@ -29,14 +29,19 @@ from gray_box_observer.observer.builder import (
 )
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
-from gray_box_observer.observer.mixed_signals import COMPARED, MOST_COMPARED, MixUp, mix_up
+from gray_box_observer.observer.mixed_signals import MixUp, MixUpSearch
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.observer.torque_forecast import (
+    Forecast,
+    precompute,
+    torque_after_hold,
+    torque_at,
+)
 from gray_box_observer.predictor import Skill
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.counts import PairingCounts
-from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.samples.stopped import StoppedPairing
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import torch_device
@@ -47,15 +52,6 @@ from gray_box_observer.white_box.motor import STORAGES
 __all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
 
 T = TypeVar('T')
-
-
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """Torque expected of one motor at a stamp that is still to come."""
-
-    motor: str
-    stamp_ns: int
-    torque_nm: float
 
 
 class Observer:
@@ -88,7 +84,7 @@ class Observer:
         self._grouping = Grouping(configuration)
         self.motors: dict[str, MotorView] = {}
         self.incidents: dict[str, Incident] = {}
-        self._mix_ups: dict[str, tuple[FitAssessment, MixUp | None]] = {}
+        self._mix_ups = MixUpSearch()
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
         """Take one armature voltage; part of the Python API.
@@ -158,9 +154,8 @@ class Observer:
         Returns:
             What the samples that it completes have led to, group by group.
         """
-        return self._ingest(
-            self._grouping.parts(signal, names, speeds), signal, stamp_ns, values, speeds
-        )
+        parts = self._grouping.parts(signal, names, speeds)
+        return self._ingest(parts, signal, stamp_ns, values, speeds)
 
     def groups(self, names: tuple[str, ...]) -> list[Group]:
         """Return the groups that the motors of a message belong to."""
@@ -199,7 +194,7 @@ class Observer:
         if result.group.is_stopped:
             return []
         try:
-            return list(result)
+            return result.motor_results()
         except ConfigurationError:
             raise
         except Exception as error:
@@ -251,17 +246,7 @@ class Observer:
 
         None where the voltage is not known up to the stamp; changes nothing.
         """
-        try:
-            ahead = group.pairing.ahead(stamp_ns)
-            if group.observer is None or ahead is None:
-                return None
-            prediction = group.observer.predict(*(np.atleast_1d(value) for value in ahead))
-        except ConfigurationError:
-            raise
-        except Exception as error:
-            self.stop(group, error)
-            return None
-        return None if prediction is None else prediction.torque_nm
+        return self.contain(group, partial(torque_at, group, stamp_ns))
 
     def precompute_forecast(self, group: Group) -> None:
         """Work out a group's next prediction in advance, where its stamp can be foretold.
@@ -269,18 +254,7 @@ class Observer:
         Changes nothing but when it is done: for whoever has time now and none when the next voltage
         has come.
         """
-        newest, pairing = group.pairing.newest_voltage, group.pairing
-        if (
-            group.observer is not None
-            and newest is not None
-            and newest[0] == pairing.newest_sample_ns
-        ):
-            try:
-                group.observer.precompute_forecast(newest[1])
-            except ConfigurationError:
-                raise
-            except Exception as error:
-                self.stop(group, error)
+        self.contain(group, partial(precompute, group))
 
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
         """Predict the torque at a stamp with voltage but without torque; changes nothing."""
@@ -317,19 +291,7 @@ class Observer:
 
     def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
         """Return stamp and torques, (motor,), of :meth:`forecast_held` for a whole group."""
-        return self.contain(group, lambda: self._forecast_held(group, horizon_s))
-
-    def _forecast_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
-        observer, pairing = group.observer, group.pairing
-        newest = pairing.newest_voltage
-        if observer is None or newest is None:
-            return None
-        since_ns, voltage_v = newest
-        ahead = pairing.ahead(since_ns)
-        if ahead is None and since_ns != pairing.newest_sample_ns:
-            return None
-        torque_nm = observer.forecast_held(ahead, horizon_s, voltage_v)
-        return None if torque_nm is None else (since_ns + nanoseconds(horizon_s), torque_nm)
+        return self.contain(group, partial(torque_after_hold, group, horizon_s))
 
     def group_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
         """Return names and present estimates of every group that has been seen."""
@@ -375,16 +337,7 @@ class Observer:
 
     def mix_up(self, motor: str) -> MixUp | None:
         """Return the motor that one which does not fit is mixed up with; None where none is."""
-        fit = self.fit(motor)
-        if not 2 <= len(self.motors) <= MOST_COMPARED or fit.verdict is not FitVerdict.MISFIT:
-            return None
-        tested, answer = self._mix_ups.get(motor, (None, None))
-        if tested != fit:  # asked once after every test that has found something else
-            misfits = [n for n in self.motors if self.fit(n).verdict is FitVerdict.MISFIT]
-            samples = {n: self.motors[n].newest(COMPARED) for n in (motor, *misfits)}
-            answer = mix_up(motor, samples)
-            self._mix_ups[motor] = fit, answer
-        return answer
+        return self._mix_ups.find(motor, self.motors)
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return the delay between voltage and torque of every motor that has been seen."""
@@ -413,9 +366,9 @@ class Observer:
 
     @staticmethod
     def _skill(group: Group, place: int) -> Skill | None:
-        if group.observer is None or group.observer.predictor is None:
+        if group.observer is None or group.observer.forecasting is None:
             return None
-        return group.observer.predictor.scores.skill(place)
+        return group.observer.forecasting.scores.skill(place)
 
     @property
     def frozen(self) -> bool:
@@ -463,10 +416,10 @@ class Observer:
         try:
             for names in together:
                 self._grouping.gather(names)
-            affected = [
+            groups = [
                 group for group in self.every_group if any(name in states for name in group.names)
             ]
-            replacements.extend((group, self._make_restored(group, states)) for group in affected)
+            replacements.extend((group, self._make_restored(group, states)) for group in groups)
         except BaseException:
             for _, observer in replacements:
                 observer.close()
@@ -563,15 +516,15 @@ class Observer:
                 again = observer.update_parameters(sample)
                 if again is not None and results:
                     results[-1] = replace(
-                        results[-1], estimate=again, changed=observer.changed_motors
+                        results[-1], estimate=again, changed_motors=observer.changed_motors
                     )
                 continue
-            deferred, estimate = observer.step(sample)
+            update, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
                 GroupResult(
-                    group, sample, deferred.prediction, observer.changed_motors, estimate, deferred
+                    group, sample, update.prediction, observer.changed_motors, estimate, update
                 )
             )
             delay_s = None
@@ -587,7 +540,7 @@ class Observer:
                 )
                 estimate = observer.estimate()
                 results[-1] = replace(
-                    results[-1], estimate=estimate, changed=np.arange(len(group.names))
+                    results[-1], estimate=estimate, changed_motors=np.arange(len(group.names))
                 )
                 still = later_samples[::-1]
         return results

@@ -14,7 +14,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, Verdict, VerdictSettings
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array

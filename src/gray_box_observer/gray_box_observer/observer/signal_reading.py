@@ -74,13 +74,15 @@ class _Usual(NamedTuple):
     """The usual message: one motor of ours, named, with one value.
 
     Attributes:
+        message_type: of the message.
         names: as they stand in the message.
-        kind: type of what holds the value.
+        value_type: of what holds the value.
         motors: the same names, as motors.
     """
 
+    message_type: type
     names: Sequence[str]
-    kind: Any
+    value_type: type
     motors: tuple[str, ...]
 
 
@@ -101,6 +103,7 @@ class Signal:
         self.topic: str = configuration[f'{name}.topic']
         self.type_name: str = configuration[f'{name}.type']
         self._path = FieldPath(configuration[f'{name}.field'])
+        self._field = self._path.plain_getter
         self.scale: float = configuration[f'{name}.scale']
         self.offset: float = configuration[f'{name}.offset']
         self._motors = dict.fromkeys(configuration.motors)
@@ -125,6 +128,15 @@ class Signal:
                 the field, a motor is named twice, or one value stands for several motors.
             ConfigurationError: the message has no such field.
         """
+        usual = self._usual
+        if usual is not None and type(message) is usual.message_type:
+            value = self._field(message)
+            if (
+                type(value) is usual.value_type
+                and len(value) == 1
+                and names_of(message) == usual.names
+            ):
+                return usual.motors, (self.scale * float(value[0]) + self.offset,), True
         try:
             value = self._path(message)
         except MissingFieldError as error:
@@ -134,14 +146,6 @@ class Signal:
                 f'{self.name}.field {self._path.text!r} on {self.topic}: {error}'
             ) from error
         names = names_of(message)
-        usual = self._usual
-        if (
-            usual is not None
-            and type(value) is usual.kind
-            and len(value) == 1
-            and names == usual.names
-        ):
-            return usual.motors, (self.scale * float(value[0]) + self.offset,), True
         if isinstance(value, (int, float)):
             self._readable = True
             return self._single(self.scale * value + self.offset)
@@ -174,7 +178,7 @@ class Signal:
         elif (
             len(message_names) == 1 and name_check.has_our_motor and not self._path.may_have_entries
         ):
-            self._usual = _Usual(copy(names), type(value), name_check.names)
+            self._usual = _Usual(type(message), copy(names), type(value), name_check.names)
         return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:

@@ -1,6 +1,7 @@
-"""The LSTM that forecasts torque (thesis 4.3, 5.1). Read `predictor.py` first."""
+"""The LSTM that forecasts torque (thesis 4.3, 5.1). Read `forecasting.py` first."""
 
 from gray_box_observer.predictor.alarm import AlarmSettings, ResidualAlarm
+from gray_box_observer.predictor.forecasting import Forecasting
 from gray_box_observer.predictor.network_inputs import Variant
 from gray_box_observer.predictor.predictor import Predictor
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
@@ -15,6 +16,7 @@ from gray_box_observer.predictor.training.training_backend import (
 
 __all__ = [
     'AlarmSettings',
+    'Forecasting',
     'InlineTraining',
     'Prediction',
     'Predictor',

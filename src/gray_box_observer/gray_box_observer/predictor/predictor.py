@@ -1,7 +1,4 @@
-"""The predictor: forecasts each torque before it is measured, and trains in the background.
-
-Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what it said.
-"""
+"""The predictor of motors without a rotor: forecasts each torque before it is measured."""
 
 from __future__ import annotations
 
@@ -27,7 +24,6 @@ from gray_box_observer.predictor.torque_predictor import (
     of_present,
     physics_of,
 )
-from gray_box_observer.predictor.training.training_backend import Training
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.device import DEVICE_FROM, watched
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -41,7 +37,6 @@ class Predictor(TorquePredictor):
         motors: number of motors.
         theta_reference: shape (parameter,): see :class:`InputLayout`.
         rules: settings.
-        training: where jobs run.
         speed_measured: whether speed is a signal.
         seed: of a fresh network.
         device: torch's, on which very many motors are predicted (variant ``physics``); None: by
@@ -53,12 +48,11 @@ class Predictor(TorquePredictor):
 
     def __init__(
         self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingSettings,
-        training: Training, *, speed_measured: bool, seed: int = 0, device: str | None = None,
+        *, speed_measured: bool, seed: int = 0, device: str | None = None,
     ) -> None:  # fmt: skip
         is_physics = rules.variant is Variant.PHYSICS
         device = device if is_physics and motors >= DEVICE_FROM else None
         self._rules = rules
-        self._speed_measured = speed_measured
         self._forecaster: Forecaster
         with nullcontext() if device is None else watched(device):
             self._axis = Axis(motors, device)
@@ -71,8 +65,8 @@ class Predictor(TorquePredictor):
                 layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
                 self._forecaster = WindowForecaster(motors, layout, rules)
         super().__init__(
-            white_box, motors, theta_reference.size, rules, training, self._forecaster,
-            speed_measured=speed_measured,
+            white_box, motors, theta_reference.size, self._forecaster,
+            speed_measured=speed_measured, device=device,
         )  # fmt: skip
         self._way: Course | None = None
         self._rollout_nm = np.full(motors, np.nan)
@@ -84,7 +78,6 @@ class Predictor(TorquePredictor):
                 '_rollout',
                 'forecast',
                 'advance',
-                'score_and_train',
                 'restore',
             ):
                 setattr(self, name, watched(device)(getattr(self, name)))
@@ -101,7 +94,7 @@ class Predictor(TorquePredictor):
         """
         request = self._request(interval_s, voltage_v, theta)
         if request is None:
-            blank = np.full(self._motors, np.nan)
+            blank = np.full(self.motors, np.nan)
             return Prediction(blank, lambda: blank, None, None)
         rollout = partial(self._rollout, request, self._rollout_nm)
         torque_nm, memory = self._forecaster.forecast(request)
@@ -154,9 +147,9 @@ class Predictor(TorquePredictor):
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a '
                 'horizon use variant physics'
             )
-        request = self._request(np.full(self._motors, horizon_s), voltage_v, theta)
+        request = self._request(np.full(self.motors, horizon_s), voltage_v, theta)
         if request is None or (since is not None and since.memory is None):
-            return np.full(self._motors, np.nan)
+            return np.full(self.motors, np.nan)
         if since is not None and since.memory is not None:
             request = replace(request, origin=(physics_of(since), since.memory))
         torque_nm = self._forecaster.forecast(request)[0]
@@ -191,8 +184,8 @@ class Predictor(TorquePredictor):
         self._rollout_nm = of_present(sample, rollout_nm, self._rollout_nm)
         # a torque message without its speed must not put NaN into the network's memory or into a
         # training window
-        self._previous_speed = np.where(
-            np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed
+        self.speed_rad_s = np.where(
+            np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self.speed_rad_s
         )
 
     def _request(self, interval_s: Array, voltage_v: Array, theta: Array) -> ForecastRequest | None:
@@ -204,8 +197,8 @@ class Predictor(TorquePredictor):
             & ops.isfinite(axis.to_operand(self._rollout_nm))
             & ops.isfinite(voltage)
         )
-        if self._speed_measured:
-            speed = axis.to_operand(self._previous_speed)
+        if self.speed_measured:
+            speed = axis.to_operand(self.speed_rad_s)
             usable = usable & ops.isfinite(speed)
         if not ops.any(usable):
             return None

@@ -19,11 +19,9 @@ from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.held_speed import held_speed_current
-from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import Recollection
 from gray_box_observer.predictor.steady_state import Course
 from gray_box_observer.predictor.torque_predictor import Prediction, TorquePredictor
-from gray_box_observer.predictor.training.training_backend import Training
 from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_arrays
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import State
@@ -83,23 +81,16 @@ class RotorPredictor(TorquePredictor):
 
     Args:
         white_box: its physics.
-        rules: settings.
-        training: where the residual is learnt.
     """
 
-    def __init__(
-        self, white_box: MotorWhiteBox, rules: TrainingSettings, training: Training
-    ) -> None:
-        parameters = len(white_box.parameters)
-        super().__init__(
-            white_box, 1, parameters, rules, training, NoNetwork(), speed_measured=False
-        )
+    def __init__(self, white_box: MotorWhiteBox) -> None:
+        super().__init__(white_box, 1, len(white_box.parameters), NoNetwork(), speed_measured=False)
         self._white_box = white_box
         self._theta: Array | None = None
         self._p = np.empty(0)
         self._values: dict[str, float] = {}
         self._states: Array | None = None
-        self._waited = 0
+        self._wait_count = 0
         self._largest_v = LEAST_V
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> RotorPrediction:
@@ -148,9 +139,9 @@ class RotorPredictor(TorquePredictor):
         torque_nm = self._torque(path[-1])
         if not has_correction:
             return torque_nm
-        asked = path[-instants_s.size :]
-        request = self._request(np.array([horizon_s]), volt, theta, asked[-1])
-        path_nm = np.atleast_2d(self._white_box.output(asked[:, State.CURRENT]))
+        end_states = path[-instants_s.size :]
+        request = self._request(np.array([horizon_s]), volt, theta, end_states[-1])
+        path_nm = np.atleast_2d(self._white_box.output(end_states[:, State.CURRENT]))
         return torque_nm + self.residual.along(request, path_nm, memory)
 
     def advance(
@@ -163,7 +154,7 @@ class RotorPredictor(TorquePredictor):
         if math.isfinite(volt):
             self._largest_v = max(self._largest_v, volt)
         if anew[0]:
-            states, self._waited = None, 0
+            states, self._wait_count = None, 0
         elif states is None:
             states = self._begun(sample, speed)
         self._states = states
@@ -186,11 +177,11 @@ class RotorPredictor(TorquePredictor):
 
     def _begun(self, sample: Sample, speed: SpeedEstimate | None) -> Array | None:
         """Return the states that a run begins with; None where the speed is not yet known."""
-        self._waited += 1
+        self._wait_count += 1
         if speed is None or self._theta is None:
             return None
         most = SURE * self._largest_v / self._values['back_emf_constant']
-        if speed.std_rad_s > most and self._waited < LONGEST_WAIT:
+        if speed.std_rad_s > most and self._wait_count < LONGEST_WAIT:
             return None
         current_a = float(self._white_box.state(sample.torque_nm)[0])
         states = np.array([current_a, speed.speed_rad_s])

@@ -1,6 +1,6 @@
-"""What every predictor of torque has: scores, training, and what is learnt beside the physics.
+"""What every predictor of torque has: a network that runs, and what is learnt beside the physics.
 
-Predict, then learn: :meth:`TorquePredictor.predict` changes nothing; scores use what it said.
+Predict, then learn: :meth:`TorquePredictor.predict` changes nothing.
 """
 
 from __future__ import annotations
@@ -15,17 +15,12 @@ import numpy as np
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import RunningNetwork
 from gray_box_observer.predictor.network import Memory
-from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import (
     Recollection,
     ResidualForecaster,
     check_correction,
 )
-from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.steady_state import Course
-from gray_box_observer.predictor.training.online_training import OnlineTraining
-from gray_box_observer.predictor.training.training_backend import Training
-from gray_box_observer.safe_io.saved_state import check_array, positive
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -61,36 +56,33 @@ class Prediction:
 
 
 class TorquePredictor(ABC):
-    """Predicts the torque of motors, scores that, and has learnt what the physics lacks.
+    """Predicts the torque of motors.
 
     Args:
         white_box: the physics; that of a single motor has plain numbers for constants.
         motors: number of motors.
         parameters: number of context nodes.
-        rules: settings.
-        training: where jobs run.
         network: the network that runs, or what stands for none.
         speed_measured: whether speed is a signal.
+        device: torch's, on which it is predicted; None: by numpy.
 
     Attributes:
+        motors, parameters, network, speed_measured, device: as above.
         residual: the correction of what the physics says.
-        training: has both taught.
-        scores: how good the predictions were.
+        speed_rad_s: shape (motor,): newest measured speed; NaN where there is none.
     """
 
     def __init__(
-        self, white_box: WhiteBox, motors: int, parameters: int, rules: TrainingSettings,
-        training: Training, network: RunningNetwork, *, speed_measured: bool,
+        self, white_box: WhiteBox, motors: int, parameters: int, network: RunningNetwork, *,
+        speed_measured: bool, device: str | None = None,
     ) -> None:  # fmt: skip
-        self._motors = motors
-        self._parameters = parameters
-        self._network = network
+        self.motors = motors
+        self.parameters = parameters
+        self.network = network
+        self.speed_measured = speed_measured
+        self.device = device
         self.residual = ResidualForecaster(white_box, motors)
-        self._previous_torque = self._previous_speed = np.full(motors, np.nan)
-        self.training = OnlineTraining(
-            motors, rules, training, network, self.residual, speed_measured=speed_measured
-        )
-        self.scores = Scores(motors)
+        self.speed_rad_s = np.full(motors, np.nan)
 
     @abstractmethod
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
@@ -131,66 +123,24 @@ class TorquePredictor(ABC):
             speed: of a motor with a rotor, at the sample, as far as it is known.
         """
 
-    def learn(
-        self,
-        sample: Sample,
-        prediction: Prediction,
-        theta: Array,
-        covariance: Array | None = None,
-        speed: SpeedEstimate | None = None,
-    ) -> None:
-        """Go on from a sample and learn it: :meth:`advance` and :meth:`score_and_train`."""
-        self.advance(sample, prediction, speed)
-        self.score_and_train(sample, prediction, theta, covariance)
-
-    def score_and_train(
-        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
-    ) -> None:
-        """Score what was predicted, and let the sample be trained on.
-
-        Comes after :meth:`advance` and before the next sample is followed; where :attr:`training`
-        is ``due_next``, also before it is predicted, for a trained network may take over.
-
-        Args:
-            sample: what came.
-            prediction: what had been expected of it.
-            theta: shape (motor, parameter): context nodes before the sample is learnt.
-            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at
-                all.
-        """
-        rivals = {
-            'predictor': prediction.torque_nm,
-            'persistence': np.where(sample.interval_s <= 0.0, np.nan, self._previous_torque),
-            'white_box': prediction.white_box_torque_nm,
-        }
-        self.scores.add(sample.torque_nm, rivals)
-        self._previous_torque = of_present(sample, sample.torque_nm, self._previous_torque)
-        self.training.update(
-            sample, self._previous_speed, physics_of(prediction), theta, covariance
-        )
-
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """One motor's network, learnt additions, and state of training, as arrays."""
+        """The network and what one motor has learnt beside the physics, as arrays."""
         residual_arrays = (
             {} if self.residual.correction is None else self.residual.correction.arrays()
         )
-        return {**self._network.state(), **residual_arrays, **self.training.state(motor)}
+        return {**self.network.state(), **residual_arrays}
 
     def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave of one motor; training goes on from there.
+        """Take back what :meth:`state` gave of one motor.
 
         Raises:
             ConfigurationError: the network is of another variant or size.
             CheckpointError: it is no state that could have been learnt.
         """
         check_correction(arrays)
-        for name in ('job_theta', 'settled_theta'):
-            if name in arrays:
-                check_array(name, arrays[name], positive(1, self._parameters))
-        self._network.restore(arrays)
-        if self._motors == 1:
+        self.network.restore(arrays)
+        if self.motors == 1:
             self.residual.adopt(arrays)
-        self.training.restore(arrays, motor)
 
 
 def of_present(sample: Sample, now: Array, before: Array) -> Array:

@@ -72,9 +72,9 @@ class ObserverTables:
         lines = None if self._lines is None else self._lines // max(1, len(observers))
         for observer in observers:
             motors = observer.worst_first(self._most)
-            needed = sum(len(motor.parameters) + LINES_OF_A_MOTOR for motor in motors) + 2
+            line_count = sum(len(motor.parameters) + LINES_OF_A_MOTOR for motor in motors) + 2
             yield _title(observer, len(motors), self._now_s)
-            if lines is None or needed <= lines:
+            if lines is None or line_count <= lines:
                 yield from (_detailed(motor, plain=plain) for motor in motors)
             else:
                 yield _compact(motors[: max(1, lines - 5)], plain=plain)
@@ -84,8 +84,10 @@ def _title(observer: ObserverState, shown_count: int, now_s: float) -> Text:
     """Name an observer, how many motors it has, and whether it is heard."""
     text = Text(printable(observer.name, LONGEST_NAME * 3), style='bold')
     count = len(observer.motors)
-    believed = sum(_is_identified(motor) for motor in observer.motors.values())
-    text.append(f'  {count} motor{"" if count == 1 else "s"}, {believed} identified', style='dim')
+    identified_count = sum(_is_identified(motor) for motor in observer.motors.values())
+    text.append(
+        f'  {count} motor{"" if count == 1 else "s"}, {identified_count} identified', style='dim'
+    )
     if shown_count < count:
         text.append(f', {shown_count} shown', style='dim')
     silent_s = observer.silence_s(now_s)
@@ -144,9 +146,9 @@ def _phrases(motor: MotorState) -> list[str]:
         phrases.append(f'{_short(facts["sample rate [1/s]"])} samples/s')
     if 'samples used' in facts:
         phrases.append(f'{_short(facts["samples used"])} used')
-    rejected = facts.get('rejected', 'none')
-    if rejected != 'none':
-        phrases.append(f'rejected {printable(rejected, LONGEST_NAME * 2)}')
+    rejections = facts.get('rejected', 'none')
+    if rejections != 'none':
+        phrases.append(f'rejected {printable(rejections, LONGEST_NAME * 2)}')
     source = facts.get('speed source', '').partition(':')[0]
     if source:
         phrases.append(f'speed from {printable(source, LONGEST_NAME)}')

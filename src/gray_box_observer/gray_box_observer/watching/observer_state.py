@@ -132,10 +132,10 @@ class ObserverState:
         motors = list(self.motors.values())
         if len(motors) <= most:
             return motors
-        kept = [motor for motor in motors if motor.needs_attention][:most]
-        names = {motor.name for motor in kept}
+        urgent = [motor for motor in motors if motor.needs_attention][:most]
+        names = {motor.name for motor in urgent}
         rest = (motor for motor in motors if motor.name not in names)
-        return kept + [motor for motor, _ in zip(rest, range(most - len(kept)), strict=False)]
+        return urgent + [motor for motor, _ in zip(rest, range(most - len(urgent)), strict=False)]
 
 
 class WatchedState:
@@ -150,7 +150,7 @@ class WatchedState:
     """
 
     def __init__(self, observers: Sequence[str] = ()) -> None:
-        self._wanted = frozenset(observers)
+        self._observer_names = frozenset(observers)
         self.observers: dict[str, ObserverState] = {}
         self.count = 0
 
@@ -216,7 +216,7 @@ class WatchedState:
 
     def _observer(self, name: str, now_s: float) -> ObserverState | None:
         """Return the state of a wanted observer, which was heard of now."""
-        if self._wanted and name not in self._wanted:
+        if self._observer_names and name not in self._observer_names:
             return None
         state = self.observers.get(name)
         if state is None:

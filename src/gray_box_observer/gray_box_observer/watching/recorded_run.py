@@ -39,7 +39,7 @@ _DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
 @dataclass(frozen=True, slots=True)
-class Playing:
+class Playback:
     """How a bag is shown.
 
     Attributes:
@@ -54,14 +54,14 @@ class Playing:
 
 
 def watch_bag(
-    path: Path, parameter_values: Mapping[str, Any], playing: Playing, display: TableDisplay
+    path: Path, parameter_values: Mapping[str, Any], playback: Playback, display: TableDisplay
 ) -> list[str]:
     """Show a bag to its end, and the last table in any case; return what should be known of it.
 
     Args:
         path: rosbag2 folder or bare MCAP file.
         parameter_values: of the observer, by dotted names; used where it runs.
-        playing: rate and period.
+        playback: rate and period.
         display: where the tables go.
 
     Raises:
@@ -69,14 +69,14 @@ def watch_bag(
         ConfigurationError: a parameter cannot be used.
     """
     with BagReader(path) as bag:
-        recorded = _recorded_topics(bag, playing.observers)
+        estimate_topics = _recorded_topics(bag, playback.observers)
         start_ns = bag.start_ns
-    if playing.observers and not recorded:
-        raise BagError(f'{path} holds no estimates of {", ".join(playing.observers)}')
-    screen = _Screen(path, start_ns, playing, display, WatchedState(playing.observers))
+    if playback.observers and not estimate_topics:
+        raise BagError(f'{path} holds no estimates of {", ".join(playback.observers)}')
+    screen = _Screen(path, start_ns, playback, display, WatchedState(playback.observers))
     try:
-        if recorded:
-            warnings = _show_recorded(path, recorded, screen)
+        if estimate_topics:
+            warnings = _show_recorded(path, estimate_topics, screen)
         else:
             warnings = _run_observer(path, parameter_values, screen)
     finally:
@@ -93,17 +93,17 @@ class _Screen:
         self,
         path: Path,
         start_ns: int,
-        playing: Playing,
+        playback: Playback,
         display: TableDisplay,
         state: WatchedState,
     ) -> None:
         self.state = state
         self._name = path.name
         self._display = display
-        self._playing = playing
+        self._playback = playback
         self._start_ns = start_ns
         self._now_ns = start_ns
-        self._pacer = Pacer(playing.rate)
+        self._pacer = Pacer(playback.rate)
         self._pacer.restart(start_ns)
         self._shown_s = time.monotonic()
 
@@ -112,7 +112,7 @@ class _Screen:
         if now_ns < self._now_ns:
             self._pacer.restart(now_ns)
         self._now_ns = now_ns
-        if self._playing.rate > 0:
+        if self._playback.rate > 0:
             self._pacer.wait(now_ns)
         return self.now_s
 
@@ -123,8 +123,8 @@ class _Screen:
 
     def refresh(self) -> None:
         """Show the table if it is due."""
-        period_s = self._playing.period_s
-        if self._playing.rate <= 0:
+        period_s = self._playback.period_s
+        if self._playback.rate <= 0:
             period_s = REFRESH_S if self._display.is_terminal else 0.0
         now_s = time.monotonic()
         if period_s > 0.0 and now_s - self._shown_s >= period_s:
@@ -158,10 +158,10 @@ def _recorded_topics(bag: BagReader, observers: tuple[str, ...]) -> dict[str, st
 def _show_recorded(path: Path, estimates: Mapping[str, str], screen: _Screen) -> list[str]:
     """Show what observers said when the bag was recorded."""
     with BagReader(path) as bag:
-        wanted = set(estimates) | {
+        topics = set(estimates) | {
             topic for topic, info in bag.topics.items() if info.type_name == _DIAGNOSTICS
         }
-        for raw, message in bag.decoded_messages(wanted):
+        for raw, message in bag.decoded_messages(topics):
             now_s = screen.advance(raw.log_time_ns)
             if raw.topic in estimates:
                 labels = [dimension.label for dimension in message.layout.dim]
@@ -247,10 +247,10 @@ class _Teller:
 
     def _facts(self, motor: str, now_s: float) -> dict[str, str]:
         view, counts = self._observer.motors[motor], self._observer.counts(motor)
-        rejected = ', '.join(f'{reason.value}: {n}' for reason, n in counts.rejected.items() if n)
+        rejections = ', '.join(f'{reason.value}: {n}' for reason, n in counts.rejected.items() if n)
         facts = {
             'samples used': str(counts.used_count),
-            'rejected': rejected or 'none',
+            'rejected': rejections or 'none',
             'fit verdict': view.fit.verdict.value,
             'fit ratio': words_of(view.fit.ratio, '.4g', 'unknown'),
             'speed source': view.white_box.speed_source,

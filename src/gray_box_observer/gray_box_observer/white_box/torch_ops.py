@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 
 
@@ -24,10 +23,6 @@ class TorchOps:
     def tensor(self, values: Any) -> torch.Tensor:
         """Return a copy of an array, or a number, on the device."""
         return torch.tensor(values, device=self.device)
-
-    def borrowed(self, array: Any) -> torch.Tensor:
-        """Return an array on the device; read-only, for on the processor it is not copied."""
-        return torch.from_numpy(np.asarray(array)).to(self.device)
 
     def taken(self, signal: Any) -> torch.Tensor:
         """Return a signal on the device, where it may be already."""

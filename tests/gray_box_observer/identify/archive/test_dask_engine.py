@@ -11,7 +11,7 @@ from gray_box_observer.context_nodes.native import regular_block
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.identify.archive.bag_work import BagWork
 from gray_box_observer.identify.archive.dask_engine import DaskEngine
-from gray_box_observer.settings.configuration import read_parameter_file
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 Run = Callable[..., tuple[int, str, str]]
 

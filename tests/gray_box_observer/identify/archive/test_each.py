@@ -14,7 +14,7 @@ from pyarrow import parquet
 from gray_box_observer.identify.archive.bag_work import BagResult, BagWork
 from gray_box_observer.identify.archive.result_table import COLUMNS
 from gray_box_observer.identify.archive.serial_engine import SerialEngine
-from gray_box_observer.settings.configuration import read_parameter_file
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -17,7 +17,7 @@ import pytest
 from gray_box_observer.identify.archive.bag_work import BagResult, BagWork
 from gray_box_observer.identify.archive.process_engine import ProcessEngine
 from gray_box_observer.identify.archive.serial_engine import SerialEngine
-from gray_box_observer.settings.configuration import read_parameter_file
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -10,7 +10,13 @@ import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import InlineTraining, Predictor, TrainingSettings, Variant
+from gray_box_observer.predictor import (
+    Forecasting,
+    InlineTraining,
+    Predictor,
+    TrainingSettings,
+    Variant,
+)
 from gray_box_observer.predictor.thesis.variant_losses import Windows, stage_two_loss
 from gray_box_observer.predictor.thesis.window_trainer import WindowTrainer
 from gray_box_observer.predictor.training import worker_messages
@@ -207,18 +213,12 @@ def test_two_motors_train_one_network(
     assert np.isfinite(trainer.train(job)['loss'])
 
 
-def predictor(box: MotorWhiteBox, rules: TrainingSettings = SMALL) -> Predictor:
-    return Predictor(
-        box,
-        1,
-        TRUTH[0],
-        rules,
-        InlineTraining(configuration(box, rules)),
-        speed_measured=box.speed_measured,
-    )
+def predictor(box: MotorWhiteBox, rules: TrainingSettings = SMALL) -> Forecasting:
+    one = Predictor(box, 1, TRUTH[0], rules, speed_measured=box.speed_measured)
+    return Forecasting(one, rules, InlineTraining(configuration(box, rules)))
 
 
-def run(one: Predictor, samples: list[Sample]) -> list[float]:
+def run(one: Forecasting, samples: list[Sample]) -> list[float]:
     said = []
     for s in samples:
         prediction = one.predict(s.interval_s, s.voltage_v, TRUTH)

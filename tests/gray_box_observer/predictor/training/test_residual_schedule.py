@@ -11,7 +11,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.predictor import Predictor, TrainingSettings
+from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings
 from gray_box_observer.predictor.training.histories import histories
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.training.residual_schedule import ResidualSchedule
@@ -23,6 +23,11 @@ from gray_box_observer.white_box import MotorWhiteBox
 RULES = TrainingSettings(replay_capacity=3 * SEGMENT, segments=3)
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 SHARP = np.zeros((1, 3, 3))
+
+
+def forecasting(box: MotorWhiteBox, rules: TrainingSettings, idle: Any) -> Forecasting:
+    predictor = Predictor(box, 1, TRUTH[0], rules, speed_measured=False)
+    return Forecasting(predictor, rules, idle)
 
 
 def told_by(number: Any, voltage_v: Any) -> Any:
@@ -141,7 +146,7 @@ def test_saved_and_restored_it_goes_on_bit_for_bit() -> None:
 def test_samples_paired_anew_leave_nothing_of_the_others(
     thesis_box: MotorWhiteBox, idle: Any
 ) -> None:
-    one = Predictor(thesis_box, 1, TRUTH[0], RULES, idle, speed_measured=False)
+    one = forecasting(thesis_box, RULES, idle)
     for k in range(9 * SEGMENT):
         sample = Sample.of_one_motor(k, 0.01 * (k > 0), 5.0, 0.02)
         one.learn(sample, one.predict(sample.interval_s, sample.voltage_v, TRUTH), TRUTH)
@@ -155,7 +160,7 @@ def test_samples_paired_anew_leave_nothing_of_the_others(
 def test_more_samples_paired_anew_than_were_counted_are_all_learnt_from(
     thesis_box: MotorWhiteBox, idle: Any
 ) -> None:
-    one = Predictor(thesis_box, 1, TRUTH[0], replace(RULES, period=100), idle, speed_measured=False)
+    one = forecasting(thesis_box, replace(RULES, period=100), idle)
 
     def learn_hundred() -> None:
         for k in range(100):
@@ -196,7 +201,7 @@ def brushes() -> Callable[..., list[Sample]]:
     return make
 
 
-def relative_error(one: Predictor, samples: list[Sample]) -> float:
+def relative_error(one: Forecasting, samples: list[Sample]) -> float:
     """Mean absolute error over that of the white box, after a history's first second."""
     said = []
     for s in samples:
@@ -218,7 +223,7 @@ def test_after_long_in_one_regime_the_correction_still_knows_another(
     thesis_box: MotorWhiteBox, idle: Any, brushes: Callable[..., list[Sample]], segments: int
 ) -> None:
     rules = TrainingSettings(replay_capacity=2 * SEGMENT, segments=segments)
-    one = Predictor(thesis_box, 1, TRUTH[0], rules, idle, speed_measured=False)
+    one = forecasting(thesis_box, rules, idle)
     relative_error(one, brushes('R[5,15]D[1,5]', 120.0, 1))
     relative_error(one, brushes('R[1,2]D[3,3]', 200.0, 2))
     job = next(job for job in reversed(idle.jobs) if job['residual'])

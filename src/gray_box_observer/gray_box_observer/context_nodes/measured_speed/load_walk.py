@@ -29,14 +29,14 @@ def walk_of_load(fit: Fit, window: Window) -> float:
     """
     output = window.speed_output
     assert output is not None
-    moved, time_s = 0.0, 0.0
+    variation, time_s = 0.0, 0.0
     steps = np.diff(np.eye(output.knots), axis=0)
     for history, start, slope in zip(window.histories, fit.starts, fit.runs.by_start, strict=True):
         prior = output.precision(np.full(STATES, OPEN), history.interval_s)
-        scaled = slope / fit.noise_a
-        precision = scaled.T @ scaled + prior
+        regressor = slope / fit.noise_a
+        precision = regressor.T @ regressor + prior
         covariance = shortest_solution(precision, np.eye(precision.shape[0]))[LOADS, LOADS]
-        moved += float(((steps @ start[LOADS]) ** 2).sum())
-        moved += float(np.trace(steps @ covariance @ steps.T))
+        variation += float(((steps @ start[LOADS]) ** 2).sum())
+        variation += float(np.trace(steps @ covariance @ steps.T))
         time_s += float(history.interval_s.sum())
-    return max(moved / max(time_s, 1e-9), LEAST) if np.isfinite(moved) else LEAST
+    return max(variation / max(time_s, 1e-9), LEAST) if np.isfinite(variation) else LEAST

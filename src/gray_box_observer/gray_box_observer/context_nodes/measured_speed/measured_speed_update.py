@@ -134,7 +134,7 @@ class MeasuredSpeedUpdate:
         whole_box = MotorWhiteBox(
             (*white_box.context_nodes, *rotor.nodes),
             white_box.torque_constant,
-            {**white_box.known, **rotor.known},
+            {**white_box.known, **rotor.known_values},
         )
         self._outputs = OutputUpdate(
             whole_box,
@@ -148,12 +148,12 @@ class MeasuredSpeedUpdate:
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
         self._failures = 0
-        self._explained = 0  # samples in the largest window explained; -1: the newest was not
+        self._explained_count = 0  # samples in the largest window explained; -1: the newest was not
         self._load_spread = np.zeros(len(rotor.nodes))
         self._evidence = 0.0
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
-        self._changed = np.zeros(1, dtype=bool)
+        self._change_flags = np.zeros(1, dtype=bool)
 
     @property
     def is_noisy(self) -> bool:
@@ -186,12 +186,7 @@ class MeasuredSpeedUpdate:
     @property
     def changed(self) -> NDArray[np.bool_]:
         """Whether the last sample has changed the estimate, shape (1,)."""
-        return self._changed
-
-    @property
-    def noise_std_nm(self) -> Array:
-        """Standard deviation of the torque noise in N m, shape (1,)."""
-        return self._outputs.noise_std_nm if self._is_noisy else self._exact.noise_std_nm
+        return self._change_flags
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """What both rules have met, whether speed is taken for noisy, why, and how late it is."""
@@ -226,10 +221,10 @@ class MeasuredSpeedUpdate:
         std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) * fit.fit.theta
         return np.stack([share, SIGMAS * std[self._nodes] * share])
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""
-        self._exact.freeze(frozen)
-        self._outputs.freeze(frozen)
+        self._exact.freeze(is_frozen)
+        self._outputs.freeze(is_frozen)
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts."""
@@ -274,14 +269,14 @@ class MeasuredSpeedUpdate:
             both.covariance[:, rotor, rotor],
             (both.verdicts[0][rotor],),
         )
-        is_settled = self._explained >= FULL
+        is_settled = self._explained_count >= FULL
         own = limited(own, self._load_spread, self.verdict_rules, is_settled=is_settled)
         count = len(self.published_parameters)
         covariance = np.zeros((1, count, count))
         covariance[:, self._nodes, self._nodes] = estimate.covariance
         covariance[:, rotor, rotor] = own.covariance
         verdicts = own.verdicts[0]
-        if not (is_believed and self._explained >= 0):
+        if not (is_believed and self._explained_count >= 0):
             verdicts = tuple(map(misfit, verdicts))
         return Estimate(
             estimate.stamp_ns,
@@ -304,7 +299,7 @@ class MeasuredSpeedUpdate:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
             has_changed |= self._outputs.counters() != fits
-        self._changed = _CHANGED if has_changed else _UNCHANGED
+        self._change_flags = _CHANGED if has_changed else _UNCHANGED
         return has_changed
 
     def _ask(self) -> None:
@@ -316,18 +311,18 @@ class MeasuredSpeedUpdate:
 
     def _has_fitted(self) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""
-        fitting, missed_count = self._outputs.fitting, self._outputs.windows_without_fit
+        fit_window, missed_count = self._outputs.fitting, self._outputs.windows_without_fit
         has_changed = self._outputs.advance()
         is_missed = self._outputs.windows_without_fit > missed_count
-        if fitting is None or not (
+        if fit_window is None or not (
             has_changed or is_missed
         ):  # a voltage that is held tells nothing
             return False
-        place, samples = fitting
+        place, samples = fit_window
         fit = self._outputs.output_fit
         if fit is None or not fit.explains:
             self._failures += 1
-            self._explained = -1
+            self._explained_count = -1
             self._is_noisy &= self._failures < MOST_FAILURES
             count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
@@ -351,7 +346,7 @@ class MeasuredSpeedUpdate:
         """Note how many samples a fit explains, and what its load leaves of the mechanics."""
         if self._mechanics is None:
             return
-        self._explained = max(self._explained, count)
+        self._explained_count = max(self._explained_count, count)
         now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
         self._load_spread = np.maximum(now, FORGOTTEN * self._load_spread)
         self._load_spread[self._load_spread < LEAST_SPREAD] = 0.0
@@ -400,16 +395,16 @@ class MeasuredSpeedUpdate:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = self._exact.state()
         outputs, output_arrays = self._outputs.state()
-        received = int(self._outputs.replay.received[0])
+        newest_place = int(self._outputs.replay.received[0])
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
             'failures': self._failures,
-            'explained': self._explained,
+            'explained': self._explained_count,
             'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
-            'ask_at': self._ask_at - received,
-            'rest_until': self._rest_until - received,
-            'noisy_from': self._noisy_from - received,
-            'place': int(self._samples.received[0]) - received,
+            'ask_at': self._ask_at - newest_place,
+            'rest_until': self._rest_until - newest_place,
+            'noisy_from': self._noisy_from - newest_place,
+            'place': int(self._samples.received[0]) - newest_place,
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
@@ -437,16 +432,16 @@ class MeasuredSpeedUpdate:
             if name.startswith(_PREFIX)
         }
         self._outputs.restore(dict(group(own, 'outputs')), output_arrays)
-        received = int(self._outputs.replay.received[0])
+        newest_place = int(self._outputs.replay.received[0])
         self._failures = whole(own, 'failures', 0, MOST)
         if self._mechanics is not None:
-            self._explained = whole(own, 'explained', -1, MOST)
+            self._explained_count = whole(own, 'explained', -1, MOST)
             check_arrays(arrays, {_SPREAD: ArrayRule(self._load_spread.shape, 0.0, WIDEST)})
             self._load_spread = arrays[_SPREAD]
         self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
-        self._ask_at = received + whole(own, 'ask_at', -MOST, RAREST)
-        self._rest_until = received + whole(own, 'rest_until', -MOST, RAREST)
-        self._noisy_from = max(received + whole(own, 'noisy_from', -MOST, 0), 0)
+        self._ask_at = newest_place + whole(own, 'ask_at', -MOST, RAREST)
+        self._rest_until = newest_place + whole(own, 'rest_until', -MOST, RAREST)
+        self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
         if not self._is_noisy:
             return
@@ -454,6 +449,6 @@ class MeasuredSpeedUpdate:
         check_arrays(arrays, {_SHARES: ArrayRule(self._shares.shape, 0.0, endless=True)})
         self._shares = arrays[_SHARES]
         samples = arrays[_SAMPLES][:, 0]
-        place = received + whole(own, 'place', samples.shape[1] - received, 0)
+        place = newest_place + whole(own, 'place', samples.shape[1] - newest_place, 0)
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
         self._samples = remembering(samples, place, begin)

@@ -28,13 +28,13 @@ class Mechanics:
         nodes: parameters that are fitted, the inertia among them.
         initial: where to start, SI units, one a node.
         initial_relative_std: how well that is known, one a node; 0: nothing is stated.
-        known: parameters that are known instead, by name.
+        known_values: parameters that are known instead, by name.
     """
 
     nodes: tuple[str, ...]
     initial: Sequence[float]
     initial_relative_std: Sequence[float]
-    known: Mapping[str, float] = field(default_factory=dict)
+    known_values: Mapping[str, float] = field(default_factory=dict)
 
 
 def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) -> Array:
@@ -58,14 +58,14 @@ def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) ->
     load = float(np.sqrt(np.mean(np.concatenate(loads) ** 2)))
     values = _values(mechanics, fit)
     runs = zip(fit.window.histories, fit.fit.runs.runs, strict=True)
-    gained = [np.diff(run.states[:, State.SPEED]) / one.interval_s for one, run in runs]
+    accelerations = [np.diff(run.states[:, State.SPEED]) / one.interval_s for one, run in runs]
     current, speed = np.concatenate([run.states for run in fit.fit.runs.runs]).T
     for place, name in enumerate(mechanics.nodes):
         if TERMS[name].formula:
             effect = forms.EFFECTS[name].value(current, speed, torque_constant)
             own = values[name] / values['inertia'] * np.broadcast_to(effect, current.shape)
         else:
-            own = np.concatenate(gained)
+            own = np.concatenate(accelerations)
         spread[place] = load / max(float(np.sqrt(np.mean(own**2))), 1e-300)
     return np.asarray(np.minimum(spread, WIDEST))
 
@@ -73,7 +73,7 @@ def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) ->
 def _values(mechanics: Mechanics, fit: OutputFit) -> dict[str, float]:
     """Return the rotor's parameters by name."""
     values = fit.fit.theta[-len(mechanics.nodes) :].tolist()
-    return {**mechanics.known, **dict(zip(mechanics.nodes, values, strict=True))}
+    return {**mechanics.known_values, **dict(zip(mechanics.nodes, values, strict=True))}
 
 
 def limited(

@@ -177,18 +177,18 @@ def fit_outputs(
     """
     floor = _floor(window)
     if walk > 0.0:
-        loaded = yield from _loaded(white_box, window, prior, starts[0], floor, walk)
-        if loaded is not None and loaded.explains:
-            return loaded
+        walk_fit = yield from _loaded(white_box, window, prior, starts[0], floor, walk)
+        if walk_fit is not None and walk_fit.explains:
+            return walk_fit
     linear = speed_start(white_box, window, starts[0])
-    tried = [*starts] if linear is None else [*starts, linear]
-    steady = yield from _settled(white_box, window, prior, tried, floor)
+    every_start = [*starts] if linear is None else [*starts, linear]
+    steady = yield from _settled(white_box, window, prior, every_start, floor)
     if linear is None or steady is None or steady.explains:
         return steady
-    loaded = yield from _loaded(
+    walk_fit = yield from _loaded(
         white_box, window, prior, linear, floor, _first_walk(white_box, window, linear)
     )
-    return loaded if loaded is not None and loaded.explains else steady
+    return walk_fit if walk_fit is not None and walk_fit.explains else steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +221,9 @@ def fit_outputs_again(
     """
     floor = _floor(window)
     if before.walk > 0.0:
-        loaded = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
-        if loaded is not None and loaded.explains:
-            return loaded
+        walk_fit = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
+        if walk_fit is not None and walk_fit.explains:
+            return walk_fit
     return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
 
 
@@ -233,13 +233,13 @@ def _settled(
     prior: LogPrior,
     starts: Sequence[Array],
     floor: OutputNoise,
-    known: FitBefore | None = None,
+    last_fit: FitBefore | None = None,
 ) -> Pieces[OutputFit | None]:
     """Fit with a constant load until the noise of either output agrees with its residual."""
     result = None
-    is_known = known is not None and known.unit_a_s > 0.0
-    output = SpeedOutput(known.unit_a_s if known is not None and is_known else floor.unit_a_s)
-    tries_others = known is None or known.has_rivals
+    is_known = last_fit is not None and last_fit.unit_a_s > 0.0
+    output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
+    tries_others = last_fit is None or last_fit.has_rivals
     for _ in range(ROUNDS):
         window = replace(window, speed_output=output)
         fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
@@ -250,10 +250,10 @@ def _settled(
         if not result.is_within(HOPELESS):
             return result
         ratio = result.noise.unit_a_s / output.unit_a_s
-        settled = 1.0 / AGREES < ratio < AGREES
-        if settled and (is_known or (before is not None and _is_near(before.fit, fit))):
+        is_settled = 1.0 / AGREES < ratio < AGREES
+        if is_settled and (is_known or (before is not None and _is_near(before.fit, fit))):
             break
-        if settled:
+        if is_settled:
             ratio = 1.0
         output = replace(output, unit_a_s=ratio * output.unit_a_s)
         starts, tries_others = [fit.theta], bool(fit.spread.any())  # rivals need another unit too
@@ -280,8 +280,8 @@ def _loaded(
             return result
         result = _result(fit, window, floor)
         walk, unit = walk_of_load(fit, window), result.noise.unit_a_s
-        settled = 1.0 / ALIKE < walk / output.walk < ALIKE
-        if settled and 1.0 / ALIKE < unit / output.unit_a_s < ALIKE:
+        is_settled = 1.0 / ALIKE < walk / output.walk < ALIKE
+        if is_settled and 1.0 / ALIKE < unit / output.unit_a_s < ALIKE:
             break
         output = replace(output, unit_a_s=unit, walk=walk)
         start = fit.theta
@@ -291,8 +291,10 @@ def _loaded(
 def _first_walk(white_box: MotorWhiteBox, window: Window, theta: Array) -> float:
     """A load that takes a tenth of the stalled motor's acceleration within a second."""
     values = dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
-    stalled = float(white_box.torque_constant) * window.largest_voltage_v / values['resistance']
-    return float(FIRST_LOAD * stalled / values['inertia']) ** 2 + 1e-12
+    stall_torque_nm = (
+        float(white_box.torque_constant) * window.largest_voltage_v / values['resistance']
+    )
+    return float(FIRST_LOAD * stall_torque_nm / values['inertia']) ** 2 + 1e-12
 
 
 def _result(fit: Fit, window: Window, floor: OutputNoise) -> OutputFit:

@@ -62,7 +62,7 @@ class OutputUpdate(RotorUpdate):
         self.output_fit: OutputFit | None = None
         self._walk = 0.0  # of the load
         self._unit_a_s = 0.0  # noise of the current over that of the speed; 0: not known
-        self._tried: OutputFit | None = None  # of the fit under way
+        self._newest_fit: OutputFit | None = None  # of the fit under way
         self._tried_walk = 0.0
         self._speed = np.zeros(1)
 
@@ -104,18 +104,18 @@ class OutputUpdate(RotorUpdate):
         )
 
     def _noted(self, fit: OutputFit | None) -> Fit | None:
-        self._tried = fit
+        self._newest_fit = fit
         if fit is None:
             return None
         self._tried_walk = fit.walk
         return fit.fit
 
     def _fit(self, place: int, samples: Array) -> Pieces[bool]:
-        self._tried, self._tried_walk = None, self._walk
+        self._newest_fit, self._tried_walk = None, self._walk
         has_changed = yield from super()._fit(place, samples)
-        self.output_fit, self._walk = self._tried, self._tried_walk
-        if self._tried is not None:
-            self._unit_a_s = self._tried.noise.unit_a_s
+        self.output_fit, self._walk = self._newest_fit, self._tried_walk
+        if self._newest_fit is not None:
+            self._unit_a_s = self._newest_fit.noise.unit_a_s
         return has_changed
 
     def _is_ambiguous(self, window: Window) -> bool:
@@ -123,7 +123,7 @@ class OutputUpdate(RotorUpdate):
         return window.moves == 0
 
     def _is_poor(self, fit: Fit) -> bool:
-        return self._tried is None or not self._tried.explains
+        return self._newest_fit is None or not self._newest_fit.explains
 
     def _is_hopeless(self, fit: Fit) -> bool:
         return self._is_poor(fit)

@@ -64,14 +64,14 @@ def _mechanical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
     """Return J, B and T_c of ``Kt i = J dw/dt + B w + T_c sign(w) + T_load(t)``."""
     interval = history.interval_s
     torque_constant = float(white_box.torque_constant)
-    turning = np.sign(np.convolve(speed, np.full(SMOOTH, 1.0 / SMOOTH), mode='same'))
+    direction = np.sign(np.convolve(speed, np.full(SMOOTH, 1.0 / SMOOTH), mode='same'))
     places = knot_places(interval, LINES)
     hats = np.maximum(1.0 - np.abs(places - np.arange(LINES)[:, None]), 0.0)
     lines = np.concatenate([np.zeros((LINES, 1)), np.cumsum(hats * interval, axis=1)], axis=1)
     columns = [
         _moved(speed),
         _moved(_integral(speed, interval)),
-        _moved(_integral(turning, interval)),
+        _moved(_integral(direction, interval)),
         *(_moved(line) for line in lines),
     ]
     right = torque_constant * _moved(_integral(history.current_a, interval))

@@ -164,10 +164,10 @@ class RotorUpdate:
         self._has_rivals = True  # other ends that explain the samples as well
         self._counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
         self._stamp_ns = 0
-        self._frozen = False
+        self._is_frozen = False
         self._resumes = False
         self._budget = WorkBudget()
-        self._fitting: _Fitting | None = None
+        self._fit_task: _Fitting | None = None
 
     @property
     def theta(self) -> Array:
@@ -184,11 +184,6 @@ class RotorUpdate:
     def noise_a(self) -> float:
         """Standard deviation of the current's noise; 0 before the first fit."""
         return self._noise_a
-
-    @property
-    def noise_std_nm(self) -> Array:
-        """Standard deviation of the torque noise in N m, shape (1,); 0 before the first fit."""
-        return self._white_box.output(np.array([self._noise_a]))
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Fits, windows that no fit was found for, and changes of the motor."""
@@ -207,11 +202,11 @@ class RotorUpdate:
         """Return the voltage shares per unit of parameter, and their 3-sigma bound."""
         return self._share, self._reach
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning; a new signal history follows what comes while frozen."""
-        if frozen == self._frozen:
+        if is_frozen == self._is_frozen:
             return
-        self._frozen, self._resumes = frozen, not frozen
+        self._is_frozen, self._resumes = is_frozen, not is_frozen
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts."""
@@ -223,7 +218,7 @@ class RotorUpdate:
         parameters = self._white_box.parameters
         most = np.where(self._share > 0.0, theta * self._share + self._reach, np.inf)
         verdicts = self.verdict_rules.judge(
-            parameters, theta, std, is_frozen=self._frozen, most=most
+            parameters, theta, std, is_frozen=self._is_frozen, most=most
         )
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
@@ -240,7 +235,7 @@ class RotorUpdate:
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
         self._stamp_ns = sample.stamp_ns
-        if self._frozen:
+        if self._is_frozen:
             return
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
@@ -250,17 +245,17 @@ class RotorUpdate:
     @property
     def is_frozen(self) -> bool:
         """Whether nothing is learnt."""
-        return self._frozen
+        return self._is_frozen
 
     @property
     def is_due(self) -> bool:
         """Whether the samples since the last fit are worth another one."""
-        return self._place >= self._due and not self._frozen and self._fitting is None
+        return self._place >= self._due and not self._is_frozen and self._fit_task is None
 
     @property
     def fitting(self) -> tuple[int, Array] | None:
         """Place of the newest sample of the fit under way and its samples, (signal, n)."""
-        return None if self._fitting is None else (self._fitting.place, self._fitting.samples)
+        return None if self._fit_task is None else (self._fit_task.place, self._fit_task.samples)
 
     def begin_fit(self) -> None:
         """Begin to fit what is remembered: a window, from where the one before has ended.
@@ -268,8 +263,8 @@ class RotorUpdate:
         Where a motor is not explained, and more samples than a window's have come, it is the newest
         ones that tell.
         """
-        place, remembered = self._place, int(self.replay.remembered()[0])
-        mark = max(self._mark, place - remembered)
+        place, remembered_count = self._place, int(self.replay.remembered()[0])
+        mark = max(self._mark, place - remembered_count)
         if self._is_settled:
             place = min(place, mark + WINDOW)
         count = min(place - mark, WINDOW)
@@ -277,17 +272,17 @@ class RotorUpdate:
         self._begin(place, samples[:, 0].copy())
 
     def _begin(self, place: int, samples: Array) -> None:
-        self._fitting = _Fitting(place, samples, self._fit(place, samples))
+        self._fit_task = _Fitting(place, samples, self._fit(place, samples))
 
     def advance(self) -> bool | None:
         """Go on with the fit under way; tell whether it has changed the estimate, None: goes on."""
-        if self._fitting is None or self._frozen:
+        if self._fit_task is None or self._is_frozen:
             return None
         with np.errstate(all='ignore'):  # absurd samples; results are checked
-            has_ended, has_changed = self._budget.advance(self._fitting.work)
+            has_ended, has_changed = self._budget.advance(self._fit_task.work)
         if not has_ended:
             return None
-        self._fitting = None
+        self._fit_task = None
         return bool(has_changed)
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
@@ -331,9 +326,9 @@ class RotorUpdate:
         if self._memory is not None:
             information = information + self._memory.precision
         shares = shares_of_scale(self._white_box, fit.theta, window)
-        vanishing = np.minimum(VAGUE**-2.0, shares**2)
+        weak_precision = np.minimum(VAGUE**-2.0, shares**2)
         self._logarithms = fit.logarithms
-        prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), vanishing)
+        prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
         self._covariance = _inverse(information + np.diag(prior)) + fit.spread
         self._share = voltage_shares(self._white_box, fit.theta, window, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
@@ -344,7 +339,7 @@ class RotorUpdate:
         self._noise_a = fit.noise_a
         self._has_rivals = bool(fit.spread.any())
         if self._is_settled and count >= WINDOW:
-            self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
+            self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
             self._mark = place
         self._schedule(place, count)
         return True
@@ -447,9 +442,9 @@ class RotorUpdate:
         if self._memory is None:
             return False
         apart = fit.logarithms - self._memory.mean
-        pulled = self._memory.precision @ apart
+        gradient = self._memory.precision @ apart
         chi_square = float(
-            apart @ pulled + pulled @ np.linalg.lstsq(fit.information, pulled, rcond=1e-12)[0]
+            apart @ gradient + gradient @ np.linalg.lstsq(fit.information, gradient, rcond=1e-12)[0]
         )
         return not chi_square < self._rules.drift_threshold
 
@@ -482,12 +477,12 @@ class RotorUpdate:
             'reach': self._reach.copy(),
             'replay': content,
         }
-        if self._fitting is not None:
+        if self._fit_task is not None:
             plain['fitting'] = {
-                'place': self._fitting.place - received_count,
+                'place': self._fit_task.place - received_count,
                 'pieces': self._budget.pieces,
             }
-            arrays['fitting'] = self._fitting.samples[:, None].copy()
+            arrays['fitting'] = self._fit_task.samples[:, None].copy()
         return plain, arrays
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
@@ -515,7 +510,7 @@ class RotorUpdate:
             self._memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
         self._has_rivals = plain.get('rivals', True)
         self._budget = WorkBudget.restored(plain)
-        self._fitting = None
+        self._fit_task = None
         if 'fitting' in plain:
             self._resume(group(plain, 'fitting'), arrays)
 
@@ -525,9 +520,9 @@ class RotorUpdate:
         earliest = arrays['fitting'].shape[2] - self._place
         place = self._place + whole(plain, 'place', min(earliest, 0), 0)
         self._begin(place, arrays['fitting'][:, 0])
-        assert self._fitting is not None
+        assert self._fit_task is not None
         with np.errstate(all='ignore'):
-            self._budget.repeat(self._fitting.work, whole(plain, 'pieces', 0, MOST_PIECES))
+            self._budget.repeat(self._fit_task.work, whole(plain, 'pieces', 0, MOST_PIECES))
 
     def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Refuse a saved state that could not have been learnt.
@@ -564,6 +559,6 @@ class RotorUpdate:
 def _inverse(matrix: Array) -> Array:
     """Inverse of a symmetric matrix in its own units, symmetric again."""
     unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
-    scaled = matrix / unit[:, None] / unit
-    result = np.linalg.pinv(0.5 * (scaled + scaled.T), rcond=1e-13, hermitian=True)
+    correlations = matrix / unit[:, None] / unit
+    result = np.linalg.pinv(0.5 * (correlations + correlations.T), rcond=1e-13, hermitian=True)
     return np.asarray(result / unit[:, None] / unit, dtype=float)

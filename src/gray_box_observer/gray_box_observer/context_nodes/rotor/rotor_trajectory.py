@@ -89,7 +89,7 @@ def run(
     limits: Array,
     load_rad_s2: Array | None = None,
     *,
-    compiled: bool = True,
+    is_compiled: bool = True,
 ) -> Run:
     """Follow a motor from given states.
 
@@ -103,13 +103,13 @@ def run(
             takes too many steps.
         load_rad_s2: shape (k,): what a load takes of the acceleration over every interval, beside
             that of the coordinates; None: nothing.
-        compiled: whether compiled code is used where there is any.
+        is_compiled: whether compiled code is used where there is any.
     """
     count = voltage_v.size
     states = np.empty((count + 1, STATES))
     derivatives = np.empty((count + 1, STATES, STATES + COORDINATES))
     transitions = np.empty((count, STATES, STATES))
-    library = native.library() if compiled else None
+    library = native.library() if is_compiled else None
     if library is None:
         loads = np.zeros(count) if load_rad_s2 is None else load_rad_s2
         path, steps = _run(
@@ -123,7 +123,7 @@ def run(
     ]
     to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, arguments)
     load = None if load_rad_s2 is None else np.ascontiguousarray(load_rad_s2, dtype=float)
-    taken = np.zeros(1, dtype=np.int64)
+    step_count = np.zeros(1, dtype=np.int64)
     path = library.whole_motor_follow(
         to_p,
         torque_constant,
@@ -137,34 +137,34 @@ def run(
         MOST_STEPS,
         max(PATIENCE * count, LEAST_PATIENCE),
         *map(native.pointer, (states, derivatives, transitions)),
-        taken.ctypes.data,
+        step_count.ctypes.data,
     )
-    return Run(states, derivatives, transitions, path == count, int(taken[0]))
+    return Run(states, derivatives, transitions, path == count, int(step_count[0]))
 
 
-def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Array:
+def by_knot(path: Run, place: Array, knots: int, *, is_compiled: bool = True) -> Array:
     """Differentiate a run by the knots of a load that runs straight between them.
 
     Args:
         path: the run.
         place: shape (k,): where every interval lies among the knots, 0 ... knots - 1.
         knots: how many there are, two at least.
-        compiled: whether compiled code is used where there is any.
+        is_compiled: whether compiled code is used where there is any.
 
     Returns:
         Shape (k + 1, state, knot).
     """
     count = place.size
     result = np.zeros((count + 1, STATES, knots))
-    library = native.library() if compiled else None
+    library = native.library() if is_compiled else None
     if library is not None:
         arrays = [np.ascontiguousarray(array) for array in (place, path.slopes, path.transitions)]
         library.whole_motor_by_knot(count, knots, *map(native.pointer, (*arrays, result)))
         return result
-    pushed = path.slopes[:, :, STATES + LOAD]
+    load_slopes = path.slopes[:, :, STATES + LOAD]
     left = np.minimum(place.astype(int), knots - 2)
     for k in range(count):
-        push = pushed[k + 1] - path.transitions[k] @ pushed[k]
+        push = load_slopes[k + 1] - path.transitions[k] @ load_slopes[k]
         share = place[k] - left[k]
         result[k + 1] = path.transitions[k] @ result[k]
         result[k + 1, :, left[k]] += (1.0 - share) * push
@@ -173,7 +173,7 @@ def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Ar
 
 
 def current_response(
-    transitions: Array, gains: Array, inputs: Array, *, compiled: bool = True
+    transitions: Array, gains: Array, inputs: Array, *, is_compiled: bool = True
 ) -> Array:
     """Return by how much further inputs move the current, shape (k + 1, input).
 
@@ -181,11 +181,11 @@ def current_response(
         transitions: shape (k, state, state): of a run.
         gains: shape (k, state): derivatives of every interval's end by an input over it.
         inputs: shape (k, input).
-        compiled: whether compiled code is used where there is any.
+        is_compiled: whether compiled code is used where there is any.
     """
     count, columns = inputs.shape
     result = np.zeros((count + 1, columns))
-    library = native.library() if compiled else None
+    library = native.library() if is_compiled else None
     if library is not None:
         arrays = [np.ascontiguousarray(array) for array in (transitions, gains, inputs)]
         library.whole_motor_respond(count, columns, *map(native.pointer, (*arrays, result)))
@@ -291,15 +291,15 @@ class _Motion:
         away = _fastest(here)
         interval = Interval(volt, 0.0, 0.0, length_s)  # type: ignore[arg-type]
         if not may_halve or away * length_s <= few:
-            motion, taken = _in_steps(rate_at, start, here, interval, away)
-            self.steps += taken
+            motion, step_count = _in_steps(rate_at, start, here, interval, away)
+            self.steps += step_count
             steepest = self._steepest(rate_at, start, here, motion, length_s)
             if not steepest > away:
                 return motion
             away = steepest
             if not may_halve or away * length_s <= few:
-                motion, taken = _in_steps(rate_at, start, here, interval, away)
-                self.steps += taken
+                motion, step_count = _in_steps(rate_at, start, here, interval, away)
+                self.steps += step_count
                 return motion
         half = 0.5 * length_s
         first = self._part(start, volt, half, level + 1, straight)
@@ -317,7 +317,7 @@ class _Motion:
         ]
         if not any(passes):
             return 0.0
-        at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
+        at = [0.0 if is_passed else x for is_passed, x in zip(passes, start, strict=True)]
         return _fastest(rate_at(at))
 
 
@@ -345,8 +345,8 @@ def _in_steps(
 
 def _fastest(here: Linear) -> float:
     (own, other), (back, last) = here.by_state
-    coupled = math.sqrt(abs(other * back))
-    return float(max(abs(own) + coupled, abs(last) + coupled))
+    coupling = math.sqrt(abs(other * back))
+    return float(max(abs(own) + coupling, abs(last) + coupling))
 
 
 class _Floats:

@@ -75,11 +75,12 @@ class SpeedFilter:
 
     Args:
         white_box: its physics.
-        compiled: whether compiled code is used where there is any; it gives the same to rounding.
+        is_compiled: whether compiled code is used where there is any; it gives the same to
+            rounding.
     """
 
-    def __init__(self, white_box: MotorWhiteBox, *, compiled: bool = True) -> None:
-        self._library = native.library() if compiled else None
+    def __init__(self, white_box: MotorWhiteBox, *, is_compiled: bool = True) -> None:
+        self._library = native.library() if is_compiled else None
         self._settings = native.FilterSettings(
             coarseness=COARSENESS, slip=SLIP, furthest=FURTHEST, memory=MEMORY,
             largest_step=LARGEST_STEP, most_steps=MOST_STEPS,
@@ -177,11 +178,11 @@ class SpeedFilter:
         if not self._pointers:
             arrays = (self._states, self._covariance, self._log_likelihood, self._share, self._mean)
             self._pointers = tuple(map(native.pointer, arrays))
-        done = self._library.whole_motor_filter_step(
+        is_done = self._library.whole_motor_filter_step(
             self._to_p, self._torque_constant, own, _TO_WALKS, WALKS.size, interval_s, voltage_v,
             current_a, *self._pointers,
         )  # fmt: skip
-        return bool(done)
+        return bool(is_done)
 
     def _predict(self, noise_a: float, interval_s: float, voltage_v: float) -> bool:
         """Move every filter on by an interval; tell whether that could be followed."""

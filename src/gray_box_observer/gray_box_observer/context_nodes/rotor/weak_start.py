@@ -109,8 +109,9 @@ def _positive(rows: Array) -> Array | None:
         size = np.linalg.norm(selection, axis=0)
         is_present = size > 0.0
         answer = np.zeros(5)
-        solved = np.linalg.lstsq(selection[:, is_present] / size[is_present], right, rcond=1e-9)[0]
-        answer[np.array(columns)[is_present]] = solved / size[is_present]
+        columns_of_unit_size = selection[:, is_present] / size[is_present]
+        solution = np.linalg.lstsq(columns_of_unit_size, right, rcond=1e-9)[0]
+        answer[np.array(columns)[is_present]] = solution / size[is_present]
         inductance, slope, level, viscous, dry = answer
         if level <= 0.0 or slope <= 0.0:
             continue

@@ -272,7 +272,12 @@ class FreeRuns:
 
 
 def free_runs(
-    white_box: MotorWhiteBox, theta: Array, window: Window, starts: Array, *, compiled: bool = True
+    white_box: MotorWhiteBox,
+    theta: Array,
+    window: Window,
+    starts: Array,
+    *,
+    is_compiled: bool = True,
 ) -> FreeRuns:
     """Run freely through every history.
 
@@ -282,7 +287,7 @@ def free_runs(
         window: the samples.
         starts: shape (history, unknown): first states, and where the speed is an output its other
             unknowns (:mod:`~gray_box_observer.context_nodes.rotor.history_unknowns`).
-        compiled: whether compiled code is used where there is any.
+        is_compiled: whether compiled code is used where there is any.
     """
     p = coordinates(white_box, theta)
     by_logarithm = slopes(white_box, p)
@@ -293,7 +298,7 @@ def free_runs(
         load = load_over_intervals(start, history.interval_s)
         result = run(
             torque_constant, p, start[:STATES], history.voltage_v, history.interval_s, limits, load,
-            compiled=compiled,
+            is_compiled=is_compiled,
         )  # fmt: skip
         runs.append(result)
         if not result.is_bounded:

@@ -152,15 +152,15 @@ def fit_window(
         tries_others: whether other inductances are tried where the current settles within a few
             samples.
     """
-    tried = []
+    searches = []
     for start in starts:
         search = _Search(white_box, window, prior, np.log(start))
         yield from search.settle()
         if search.is_valid:
-            tried.append(search)
-    tried.sort(key=lambda search: search.scale_a)
+            searches.append(search)
+    searches.sort(key=lambda search: search.scale_a)
     ends: list[_End] = []
-    for search in tried[:PROMISING]:
+    for search in searches[:PROMISING]:
         end = yield from _searched(search, ends)
         if end is not None:
             ends.append(end)
@@ -177,10 +177,10 @@ def fit_window(
 
 def _leap(best: _End, ends: list[_End]) -> Pieces[None]:
     """Search again from beyond what a search has stopped at, where it was to go on."""
-    found = best.search
-    if found.promised_gain < STUCK:
+    start = best.search
+    if start.promised_gain < STUCK:
         return
-    search = _Search(found.white_box, found.window, found.prior, found.beyond)
+    search = _Search(start.white_box, start.window, start.prior, start.beyond)
     yield from search.settle()
     if search.is_valid:
         end = yield from search.run(ends)
@@ -190,15 +190,15 @@ def _leap(best: _End, ends: list[_End]) -> Pieces[None]:
 
 def _try_others(best: _End, ends: list[_End]) -> Pieces[None]:
     """Search again from other inductances where the current settles within a few samples."""
-    found, nodes = best.search, best.search.white_box.context_nodes
+    last, nodes = best.search, best.search.white_box.context_nodes
     values = dict(zip(nodes, best.fit.theta.tolist(), strict=True))
-    interval_s = found.window.interval_s
+    interval_s = last.window.interval_s
     if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
         return
     for factor in OTHERS:
         neighbour = best.fit.logarithms.copy()
         neighbour[nodes.index('inductance')] += np.log(factor)
-        search = _Search(found.white_box, found.window, found.prior, neighbour)
+        search = _Search(last.white_box, last.window, last.prior, neighbour)
         yield from search.settle()
         if search.is_valid:
             end = yield from search.run(ends)
@@ -238,13 +238,13 @@ def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Free
     return search.runs
 
 
-def _with_rivals(ended: Sequence[Fit], prior: LogPrior) -> Fit:
+def _with_rivals(fits: Sequence[Fit], prior: LogPrior) -> Fit:
     """Widen the best end by other ends that are as likely."""
-    best = ended[0]
+    best = fits[0]
     spread = best.spread
     covariance = np.linalg.pinv(best.information + prior.precision, hermitian=True)
     std = np.sqrt(np.maximum(np.diagonal(covariance), 1e-30))
-    for other in ended[1:]:
+    for other in fits[1:]:
         worse = _size(other) - _size(best) + other.chi_square - best.chi_square
         apart = other.logarithms - best.logarithms
         if worse < RIVAL and np.max(np.abs(apart) / std) > DISTINCT:
@@ -391,8 +391,8 @@ class _Search:
             scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
             steps = equations.start_steps(np.zeros(self.logarithms.size))
-            moved = zip(self._at.by_start, steps, strict=True)
-            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in moved) / scale**2
+            pairs = zip(self._at.by_start, steps, strict=True)
+            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in pairs) / scale**2
             if gain < LEAST_START_GAIN:
                 return
             starts = self.starts + steps
@@ -406,8 +406,8 @@ class _Search:
         if self._leaves_out:
             near: Array = (size < limit).astype(float)
             return near
-        pulled: Array = limit / np.maximum(size, limit)
-        return pulled
+        weights: Array = limit / np.maximum(size, limit)
+        return weights
 
     def _cost(self, residual: Array, scale: float) -> float:
         """Sum of squares; what lies beyond the limit counts less, or as one at the limit."""
@@ -523,9 +523,9 @@ class _Search:
         scale = self._scale(residual)
         weights = self._weights(scale)
         unknowns = self.logarithms.size + self.starts.size
-        weighted = (weights * residual**2)[self._currents]
+        weighted_squares = (weights * residual**2)[self._currents]
         freedom = max(float(weights[self._currents].sum()) - unknowns, 1.0)
-        noise = float(np.sqrt(weighted.sum() / freedom))
+        noise = float(np.sqrt(weighted_squares.sum() / freedom))
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
@@ -584,9 +584,9 @@ class _Equations:
             start_pull: shape (history, unknown): what is expected less what they are.
         """
         by_parameter = runs.by_parameter
-        weighted = by_parameter * weights[:, None]
-        information = weighted.T @ by_parameter
-        right = weighted.T @ runs.residual_a
+        weighted_rows = by_parameter * weights[:, None]
+        information = weighted_rows.T @ by_parameter
+        right = weighted_rows.T @ runs.residual_a
         count, parameters = len(runs.by_start), by_parameter.shape[1]
         unknowns = start_pull.shape[1]
         gain, level = np.zeros((count, unknowns, parameters)), np.zeros((count, unknowns))
@@ -594,10 +594,10 @@ class _Equations:
         for row, by_start in enumerate(runs.by_start):
             own = slice(begin, begin + by_start.shape[0])
             begin = own.stop
-            turned = (by_start * weights[own, None]).T
-            inner = turned @ by_start + start_precision[row]
-            across = turned @ by_parameter[own]
-            pull = turned @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
+            weighted_slopes = (by_start * weights[own, None]).T
+            inner = weighted_slopes @ by_start + start_precision[row]
+            across = weighted_slopes @ by_parameter[own]
+            pull = weighted_slopes @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
             gain[row] = shortest_solution(inner, across)
             level[row] = shortest_solution(inner, pull)
             information = information - across.T @ gain[row]

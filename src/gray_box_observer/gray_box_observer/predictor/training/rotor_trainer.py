@@ -42,8 +42,8 @@ class RotorTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
-        saved = 'start_learning_residual_'
-        residual = {name[len(saved) :]: job[name] for name in job if name.startswith(saved)}
+        prefix = 'start_learning_residual_'
+        residual = {name[len(prefix) :]: job[name] for name in job if name.startswith(prefix)}
         if residual or job.get('residual_anew'):
             self._residual = ResidualTrainer(self._seed, self._rules.device)
         if residual and not job.get('residual_anew'):

@@ -96,9 +96,9 @@ class Commentary:
         """
         now_s = self._clock()
         for motor, of_motor in traffic.motors.items():
-            if of_motor.used:
+            if of_motor.samples:
                 self._seen_motors.add(motor)
-            for signal, count in of_motor.received.items():
+            for signal, count in of_motor.messages.items():
                 if count:
                     self._heard_s[signal, motor] = now_s
         if self._speed_has_topic and traffic.messages['speed']:

@@ -48,8 +48,10 @@ class DashboardProcess:
         command += [f'--port={configuration["dashboard.port"]}']
         command += [f'--address={configuration["dashboard.address"]}']
         command += [f'--observer={node.get_fully_qualified_name()}']
-        resolved = {feed.topic: node.resolve_topic_name(feed.topic) for feed in configuration.feeds}
-        told = {'parameters': configuration.notable(), 'resolved': resolved}
+        topic_names = {
+            feed.topic: node.resolve_topic_name(feed.topic) for feed in configuration.feeds
+        }
+        instructions = {'parameters': configuration.notable(), 'topic_names': topic_names}
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -58,7 +60,7 @@ class DashboardProcess:
             start_new_session=True,  # Ctrl-C is the observer's, which ends it
         )
         threading.Thread(
-            target=self._attend, args=(json.dumps(told),), daemon=True, name='dashboard'
+            target=self._attend, args=(json.dumps(instructions),), daemon=True, name='dashboard'
         ).start()
 
     def close(self) -> None:
@@ -73,11 +75,11 @@ class DashboardProcess:
             self._process.kill()
             self._process.wait()
 
-    def _attend(self, told: str) -> None:
+    def _attend(self, instructions: str) -> None:
         """Hand over what it is told, and log what it says, to its end."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(OSError, ValueError):  # it has ended already, or was closed
-            self._process.stdin.write(told.encode() + b'\n')
+            self._process.stdin.write(instructions.encode() + b'\n')
             self._process.stdin.flush()
         last = ''
         for line in self._process.stdout:

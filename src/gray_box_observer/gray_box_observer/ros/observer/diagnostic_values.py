@@ -28,8 +28,8 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
         values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
     if view.stall is not None:
         values['stalls'] = str(view.stall.count)
-    assumed = assumptions(view.configuration, view.white_box)
-    values['assumptions'] = '; '.join(assumed.values()) or 'none'
+    assumption_texts = assumptions(view.configuration, view.white_box)
+    values['assumptions'] = '; '.join(assumption_texts.values()) or 'none'
     delay = view.delay
     values['delay in words'] = delay.words
     values['delay [s]'] = _text(delay.value_s)
@@ -39,10 +39,10 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     values.update({name: str(count) for name, count in view.counters.items()})
     alarm, training = view.alarm, view.training
     if alarm is not None:
-        armed = (
+        alarm_state = (
             'raised' if alarm.is_raised else 'armed' if alarm.is_armed else 'learning the residual'
         )
-        values['residual alarm'] = armed
+        values['residual alarm'] = alarm_state
         values['residual std [N m]'] = _text(alarm.std_nm)
         values['alarms raised'] = str(alarm.count)
     skill = now.observer.skill(motor)
@@ -69,7 +69,7 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
         'samples with voltage held': str(pairing.held_count),
         'samples missing': str(0 if rhythm is None else rhythm.missing_count),
         'pauses': str(0 if rhythm is None else max(0, rhythm.pauses)),
-        'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
+        'sample rate [1/s]': f'{now.traffic.motors[motor].samples / now.traffic.period_s:.1f}',
         'age of newest sample [s]': _text(
             None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9
         ),

@@ -83,7 +83,7 @@ class Situation:
         checkpoint_failure: why the newest checkpoint could not be written; None where it could.
         checkpoint_age_s: time since one was taken; None where none was.
         now_ns: the node's clock.
-        simulated: whether that is ``/clock``.
+        is_simulated: whether that is ``/clock``.
         has_namesake: whether another node has the same name.
     """
 
@@ -97,7 +97,7 @@ class Situation:
     checkpoint_failure: str | None
     checkpoint_age_s: float | None
     now_ns: int
-    simulated: bool
+    is_simulated: bool
     has_namesake: bool
 
 
@@ -218,9 +218,9 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     judgement = _judge_refusals(motor, now)
     if judgement is not None:
         return judgement
-    if traffic.used:
+    if traffic.samples:
         return None
-    silent = [name for name, count in traffic.received.items() if count == 0]
+    silent = [name for name, count in traffic.messages.items() if count == 0]
     if not silent:
         return (
             DiagnosticStatus.STALE,
@@ -241,12 +241,12 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
 def _judge_refusals(motor: str, now: Situation) -> Judgement | None:
     """Why too many messages were refused of late, if they were."""
     traffic = now.traffic.motors[motor]
-    count = traffic.rejected.total()
-    if count <= REFUSED * (traffic.used + count):
+    count = traffic.rejections.total()
+    if count <= REFUSED * (traffic.samples + count):
         return None
-    reason, most = traffic.rejected.most_common(1)[0]
+    reason, most = traffic.rejections.most_common(1)[0]
     if (
-        2 * traffic.rejected[Rejection.STALE_INPUT] >= most
+        2 * traffic.rejections[Rejection.STALE_INPUT] >= most
     ):  # torque without voltage follows from it
         reason = Rejection.STALE_INPUT
     period = f'{max(1.0, now.traffic.period_s):.0f} s'
@@ -271,15 +271,15 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     stall = observer.motors[motor].stall
     if stall is not None and stall.sentence is not None:
         return DiagnosticStatus.WARN, stall.sentence
-    undeclared = observer.motors[motor].delay.complaint(motor)
-    if undeclared is not None:  # before the verdicts: it may be what spoils them
-        return DiagnosticStatus.WARN, undeclared
+    complaint = observer.motors[motor].delay.complaint(motor)
+    if complaint is not None:  # before the verdicts: it may be what spoils them
+        return DiagnosticStatus.WARN, complaint
     fit = observer.fit(motor)
-    mixed = observer.mix_up(motor)
-    if mixed is not None:
-        return DiagnosticStatus.WARN, mixed.sentence
-    doubted = any(suspect.effect in DOUBTS for suspect in fit.suspects)
-    if fit.verdict is FitVerdict.MISFIT and (doubted or _advice(motor, now) is None):
+    pair = observer.mix_up(motor)
+    if pair is not None:
+        return DiagnosticStatus.WARN, pair.sentence
+    is_doubted = any(suspect.effect in DOUBTS for suspect in fit.suspects)
+    if fit.verdict is FitVerdict.MISFIT and (is_doubted or _advice(motor, now) is None):
         return DiagnosticStatus.WARN, fit.sentence  # it ends with the likeliest remedy
     if now.traffic.busy > OVERLOAD:
         return (
@@ -290,7 +290,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
         )
     if now.checkpoint_failure is not None:
         return DiagnosticStatus.WARN, f'the checkpoint was not written: {now.checkpoint_failure}'
-    if now.simulated and now.now_ns == 0:
+    if now.is_simulated and now.now_ns == 0:
         return (
             DiagnosticStatus.WARN,
             'use_sim_time is true, but nothing comes on /clock: publish it, or set it false',
@@ -344,7 +344,7 @@ def _small_print(motor: str, now: Situation) -> str:
     if names:
         note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
     view = now.observer.motors[motor]
-    assumed = assumptions(view.configuration, view.white_box)
-    if assumed:
-        note += f'; assumed: {", ".join(assumed)}, see assumptions'
+    assumption_texts = assumptions(view.configuration, view.white_box)
+    if assumption_texts:
+        note += f'; assumed: {", ".join(assumption_texts)}, see assumptions'
     return note

@@ -40,8 +40,9 @@ from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Rejection
-from gray_box_observer.settings.configuration import NODE_NAME, Configuration
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
+from gray_box_observer.settings.ros_parameter_file import NODE_NAME
 from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -94,7 +95,7 @@ class ObserverNode(LifecycleNode):
         self._outputs: Outputs | None = None
         self._meter = TrafficMeter()
         self._deferred_results: list[GroupResult] = []
-        self._reported: set[str] = set()
+        self._incident_names: set[str] = set()
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._checkpoint_timer: Timer | None = None
@@ -226,9 +227,9 @@ class ObserverNode(LifecycleNode):
         self._announce()
         names = _in_words(list(self._configuration.motors))
         self.get_logger().info(f'active: listening for {names} on {self._inputs.in_words}')
-        if unused := unused_overrides(self):
+        if unknown_names := unused_overrides(self):
             self.get_logger().warning(
-                f'no such topic here, ignored: {", ".join(unused)}; a slip of the pen?'
+                f'no such topic here, ignored: {", ".join(unknown_names)}; a slip of the pen?'
             )
 
     def _configure(self) -> None:
@@ -303,7 +304,7 @@ class ObserverNode(LifecycleNode):
             if all(result.estimate is None for result in input_result.groups):
                 # else the next prediction comes first: an update has taken its time
                 self._run_deferred()
-            if len(self._observer.incidents) != len(self._reported):
+            if len(self._observer.incidents) != len(self._incident_names):
                 self._report_incidents()
         except ConfigurationError as error:  # a field that is not there, a device that fails
             self._stop(error)
@@ -330,17 +331,17 @@ class ObserverNode(LifecycleNode):
         outputs, observer = self._outputs, self._observer
         if outputs is None or observer is None:
             return
-        pending = deque(results)
+        queue = deque(results)
         while True:
             try:
-                outputs.alarms(_consumed(pending))
+                outputs.alarms(_consumed(queue))
                 return
             except ConfigurationError:
                 raise
             except Exception as error:
-                if not pending:
+                if not queue:
                     raise
-                observer.stop(pending.popleft().group, error)
+                observer.stop(queue.popleft().group, error)
 
     def _publish_forecast(
         self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int
@@ -370,10 +371,10 @@ class ObserverNode(LifecycleNode):
         if self._observer is None or self._outputs is None:
             return
         incidents = self._observer.incidents
-        if incidents.keys() - self._reported:
+        if incidents.keys() - self._incident_names:
             self._correct_estimates()
         for incident in {
-            id(incidents[name]): incidents[name] for name in incidents.keys() - self._reported
+            id(incidents[name]): incidents[name] for name in incidents.keys() - self._incident_names
         }.values():
             for motor in incident.motors:
                 self._outputs.retract_motor(motor)
@@ -383,7 +384,7 @@ class ObserverNode(LifecycleNode):
                 f'anew\n{incident.trace}'
             )
             self._keeper.report(incident, self.get_logger().warning)
-        self._reported = set(incidents)
+        self._incident_names = set(incidents)
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._observer is None:
@@ -485,7 +486,7 @@ class ObserverNode(LifecycleNode):
     def _begin(self) -> None:
         """Make an observer that knows nothing yet."""
         self._observer = Observer(self._configuration, ProcessTraining)
-        self._reported = set()
+        self._incident_names = set()
         self._message_input = MessageInput(self._observer, self._configuration)
         self._meter.forget()
         self._commentary.forget()
@@ -559,11 +560,11 @@ class ObserverNode(LifecycleNode):
         return CheckpointKeeper(folder, path, automatic=configuration['checkpoint.resume'])
 
 
-def _consumed(pending: deque[GroupResult]) -> Iterator[GroupResult]:
+def _consumed(queue: deque[GroupResult]) -> Iterator[GroupResult]:
     """Yield results; each leaves the queue when done, so that one that fails is still first."""
-    while pending:
-        yield pending[0]
-        pending.popleft()
+    while queue:
+        yield queue[0]
+        queue.popleft()
 
 
 def _in_words(names: list[str]) -> str:

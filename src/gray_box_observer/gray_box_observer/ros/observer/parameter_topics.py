@@ -20,14 +20,14 @@ class ParameterTopics:
 
     Attributes:
         values: topics of the estimates, by the parameter's name.
-        identified: topics that say whether each is identified.
+        flags: topics that say whether each is identified.
     """
 
     def __init__(self, node: LifecycleNode, motor: str, names: Iterable[str]) -> None:
         self._node = node
         self._motor = motor
         self.values: dict[str, LatchedTopic] = {}
-        self.identified: dict[str, LatchedTopic] = {}
+        self.flags: dict[str, LatchedTopic] = {}
         self._open(names)
 
     def follow(self, names: tuple[str, ...], *, is_active: bool) -> bool:
@@ -39,25 +39,25 @@ class ParameterTopics:
         """
         if tuple(self.values) == names:
             return False
-        gone = [name for name in self.values if name not in names]
-        for kind in (self.values, self.identified):
-            for name in gone:
+        old_names = [name for name in self.values if name not in names]
+        for kind in (self.values, self.flags):
+            for name in old_names:
                 kind.pop(name).close()
         new = self._open(names)
         if is_active:
-            for latched in new:
-                latched.activate()
-        for kind in (self.values, self.identified):
-            ordered = {name: kind[name] for name in names}
+            for topic in new:
+                topic.activate()
+        for kind in (self.values, self.flags):
+            topics_in_order = {name: kind[name] for name in names}
             kind.clear()
-            kind.update(ordered)
+            kind.update(topics_in_order)
         return True
 
     def _open(self, names: Iterable[str]) -> list[LatchedTopic]:
         """Make the topics that are not there yet; return them."""
         new = [name for name in names if name not in self.values]
-        declared = ((self.values, topics.PARAMETER), (self.identified, topics.PARAMETER_IDENTIFIED))
-        for kind, topic in declared:
+        kinds = ((self.values, topics.PARAMETER), (self.flags, topics.PARAMETER_IDENTIFIED))
+        for kind, topic in kinds:
             for name in new:
                 kind[name] = LatchedTopic(self._node, topic, motor=self._motor, parameter=name)
-        return [kind[name] for kind, _ in declared for name in new]
+        return [kind[name] for kind, _ in kinds for name in new]

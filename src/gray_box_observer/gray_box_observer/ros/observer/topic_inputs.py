@@ -54,12 +54,12 @@ class Trouble:
 
     Attributes:
         message: what is wrong and what to do about it.
-        broken: whether somebody publishes there and will never be heard; else nobody publishes at
-            all.
+        is_broken: whether somebody publishes there and will never be heard; else nobody publishes
+            at all.
     """
 
     message: str
-    broken: bool
+    is_broken: bool
 
 
 class Inputs:
@@ -116,9 +116,9 @@ class Inputs:
                     f'{self._type_name(name)} has no header: {name} is stamped by '
                     f'{self._clock_in_words}'
                 )
-            subscribing = partial(self._subscribe, feed)
+            subscribe = partial(self._subscribe, feed)
             self._queues[name] = ReceiveQueue(
-                self._node, subscribing, self._max_message_bytes, self._watch_queues
+                self._node, subscribe, self._max_message_bytes, self._watch_queues
             )
         self._memory.mark()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -158,19 +158,19 @@ class Inputs:
 
     def trouble(self, names: Iterable[str]) -> Trouble | None:
         """Say why nothing comes for these signals, as the ROS graph shows; None: unknown."""
-        wanted = set(names)
+        signals = set(names)
         troubles = [
             trouble
             for feed in self._feeds.values()
-            if wanted.intersection(feed.signals) and (trouble := self._trouble(feed)) is not None
+            if signals.intersection(feed.signals) and (trouble := self._trouble(feed)) is not None
         ]
-        troubles.sort(key=lambda trouble: not trouble.broken)
+        troubles.sort(key=lambda trouble: not trouble.is_broken)
         same = [
             trouble.message
             for trouble in troubles
-            if troubles and trouble.broken == troubles[0].broken
+            if troubles and trouble.is_broken == troubles[0].is_broken
         ]
-        return Trouble('; '.join(same), troubles[0].broken) if troubles else None
+        return Trouble('; '.join(same), troubles[0].is_broken) if troubles else None
 
     def _subscribe(self, feed: Feed, qos: QoSProfile | None) -> Subscription:
         """Subscribe with a quality of service; None: the configured one."""
@@ -271,8 +271,8 @@ class Inputs:
         """
         queue = self._queues.get(name)
         topic = self._node.resolve_topic_name(self._feeds[name].topic)
-        asked = f'{PREFIX}{topic}.subscription.reliability'
-        if queue is None or asked in getattr(self._node, '_parameter_overrides', {}):
+        override = f'{PREFIX}{topic}.subscription.reliability'
+        if queue is None or override in getattr(self._node, '_parameter_overrides', {}):
             return False
         if queue.relax():
             self._node.get_logger().info(
@@ -294,7 +294,7 @@ class Inputs:
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             return Trouble(
-                f'nobody publishes {topic}: start its driver, or set {name}.topic', broken=False
+                f'nobody publishes {topic}: start its driver, or set {name}.topic', is_broken=False
             )
         right = [
             publisher for publisher in publishers if publisher.topic_type == self._type_name(name)
@@ -303,22 +303,24 @@ class Inputs:
             return Trouble(
                 f'{topic} is published as {publishers[0].topic_type}, but {name}.type is '
                 f'{self._type_name(name)}',
-                broken=True,
+                is_broken=True,
             )
         reasons = [self._mismatch(name, publisher) for publisher in right]
         if all(reasons):
-            return Trouble(self._refusal(name, str(reasons[0])), broken=True)
+            return Trouble(self._refusal(name, str(reasons[0])), is_broken=True)
         return None
 
     def _mismatch(self, name: str, publisher: TopicEndpointInfo) -> str:
         """Name the policy that keeps a publisher from being heard; empty where it is heard."""
-        profile, offered = self._subscriptions[name].qos_profile, publisher.qos_profile
-        if qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR:
+        profile, publisher_profile = self._subscriptions[name].qos_profile, publisher.qos_profile
+        if qos_check_compatible(publisher_profile, profile)[0] != QoSCompatibility.ERROR:
             return ''
-        differing = [
-            p for p in ('reliability', 'durability') if getattr(profile, p) != getattr(offered, p)
+        policies = [
+            p
+            for p in ('reliability', 'durability')
+            if getattr(profile, p) != getattr(publisher_profile, p)
         ]
-        return self._refusals.get(name) or (differing[0] if differing else 'quality of service')
+        return self._refusals.get(name) or (policies[0] if policies else 'quality of service')
 
 
 def _deserialized(kind: Any, data: bytes) -> Any:

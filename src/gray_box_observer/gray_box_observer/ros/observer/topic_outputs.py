@@ -51,7 +51,9 @@ class Outputs:
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
         motors = configuration.motors if configuration['motor_topics'] else {}
-        self._identified = {m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in motors}
+        self._identified_topics = {
+            m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in motors
+        }
         self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in motors}
         self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in motors}
         self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in motors}
@@ -71,9 +73,9 @@ class Outputs:
             for m, motor in motors.items()
             if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto')
         }
-        self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
+        self._open_stamps: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
-        self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+        self._alarm_flags: dict[tuple[str, ...], NDArray[np.bool_]] = {}
         self._alarm_states: dict[str, bool] = {}
 
     @staticmethod
@@ -87,17 +89,18 @@ class Outputs:
     def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, and every changed estimate."""
         for result in results:
-            names, awaited = result.group.names, self._awaited.setdefault(result.group.names, {})
-            foretold = awaited.pop(result.sample.stamp_ns, False)
+            names = result.group.names
+            open_stamps = self._open_stamps.setdefault(names, {})
+            foretold = open_stamps.pop(result.sample.stamp_ns, False)
             if (
                 not result.sample.interval_s.any()
             ):  # a history begins: stamps that are still awaited may come again
-                awaited.clear()
+                open_stamps.clear()
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
             if self._alarm and result.estimate is not None:
-                self._publish_changed(result.group, result.changed.tolist(), result.estimate)
+                self._publish_changed(result.group, result.changed_motors.tolist(), result.estimate)
 
     def _publish_speed(self, motor: str, stamp_ns: int, speed: SpeedEstimate | None) -> None:
         """Publish the speed of a motor with a rotor; of others, and in doubt, none is left."""
@@ -115,9 +118,9 @@ class Outputs:
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""
         for result in results:
-            raised = result.alarm
+            flags = result.alarm
             if self._alarm:
-                self._alarms(result.group.names, raised)
+                self._alarms(result.group.names, flags)
                 self.publish_tested(result.group)
 
     def publish_tested(self, group: Group) -> None:
@@ -138,12 +141,12 @@ class Outputs:
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish a group's predicted torques for a stamp still without torque, once."""
-        awaited = self._awaited.setdefault(names, {})
-        if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
+        open_stamps = self._open_stamps.setdefault(names, {})
+        if stamp_ns in open_stamps or not self._predict(names, stamp_ns, torque_nm):
             return
-        awaited[stamp_ns] = True
-        if len(awaited) > MAX_WAITING_VOLTAGES:  # torque that never came
-            del awaited[next(iter(awaited))]
+        open_stamps[stamp_ns] = True
+        if len(open_stamps) > MAX_WAITING_VOLTAGES:  # torque that never came
+            del open_stamps[next(iter(open_stamps))]
 
     def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
         data = self._torques.render(names, stamp_ns, torque_nm)
@@ -172,14 +175,14 @@ class Outputs:
                     name, estimate.parameters, group.observer.parameters_identified_of(motor)
                 )
 
-    def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
-        before = self._alarmed.get(names)
-        if before is not None and np.array_equal(before, raised):
+    def _alarms(self, names: tuple[str, ...], flags: NDArray[np.bool_]) -> None:
+        before = self._alarm_flags.get(names)
+        if before is not None and np.array_equal(before, flags):
             return
-        for name, stands in zip(names, raised.tolist(), strict=True):
+        for name, stands in zip(names, flags.tolist(), strict=True):
             if self._alarm_states.get(name) != stands:
                 self.alarm(name, stands)
-        self._alarmed[names] = raised.copy()
+        self._alarm_flags[names] = flags.copy()
 
     def all_estimates(
         self, motors: Sequence[str], group_estimates: Sequence[tuple[tuple[str, ...], Estimate]]
@@ -227,14 +230,16 @@ class Outputs:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
         if np.isfinite(estimate.covariance[0]).all():
             self._covariance[motor](template.render(estimate.covariance[0]))
-        self._identified[motor](
+        self._identified_topics[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
 
     def _follow_form(self, motor: str, estimate: Estimate) -> None:
         """Let the topics of a motor follow its parameters: those of a rotor come and go."""
         names = tuple(parameter.name for parameter in estimate.parameters)
-        if self._parameters[motor].follow(names, is_active=self._identified[motor].is_active):
+        if self._parameters[motor].follow(
+            names, is_active=self._identified_topics[motor].is_active
+        ):
             self._covariances.pop(motor, None)
             self._published_identified.pop(motor, None)
 
@@ -267,7 +272,7 @@ class Outputs:
         self._published_identified[motor] = flags
         for j, (parameter, is_identified) in enumerate(zip(parameters, flags, strict=True)):
             if before is None or before[j] != is_identified:
-                self._parameters[motor].identified[parameter.name](self._is[is_identified])
+                self._parameters[motor].flags[parameter.name](self._is[is_identified])
 
     def forget_published(self) -> None:
         """Publish again, at the next chance, what goes out only on change and may be unheard."""
@@ -276,17 +281,17 @@ class Outputs:
         for std in self._speed_std.values():  # with the next sample it is told again
             std.retract()
 
-    def alarm(self, motor: str, raised: bool) -> None:
+    def alarm(self, motor: str, is_raised: bool) -> None:
         """Publish whether the residual alarm stands, whatever was published before."""
-        self._alarmed.clear()  # what samples have said last is not what stands there now
+        self._alarm_flags.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
-            self._alarm_states[motor] = raised
-            self._alarm[motor](self._is[raised])
+            self._alarm_states[motor] = is_raised
+            self._alarm[motor](self._is[is_raised])
 
     def retract(self) -> None:
         """Latch what is true of a node that knows nothing, in any state of its life cycle."""
         self.retract_estimates()
-        for motor in self._identified:
+        for motor in self._identified_topics:
             self.retract_motor(motor)
 
     def retract_estimates(self) -> None:
@@ -295,17 +300,17 @@ class Outputs:
 
     def retract_motor(self, motor: str) -> None:
         """The same of one motor: not identified, no alarm, nothing tested, no number."""
-        if motor not in self._identified:
+        if motor not in self._identified_topics:
             return
-        self._alarmed.clear()
+        self._alarm_flags.clear()
         self._alarm_states[motor] = False
-        self._identified[motor].correct(self._is[False])
+        self._identified_topics[motor].correct(self._is[False])
         self._alarm[motor].correct(self._is[False])
-        for latched in self._parameters[motor].identified.values():
-            latched.correct(self._is[False])
+        for topic in self._parameters[motor].flags.values():
+            topic.correct(self._is[False])
         self._published_identified.pop(motor, None)
         self._forget_fit(motor)
-        for latched in (*self._parameters[motor].values.values(), self._covariance[motor]):
-            latched.retract()
+        for topic in (*self._parameters[motor].values.values(), self._covariance[motor]):
+            topic.retract()
         if motor in self._speed_std:
             self._speed_std[motor].retract()

@@ -18,17 +18,17 @@ class MotorTraffic:
     """What came in for one motor during the last period.
 
     Attributes:
-        used: samples learnt.
-        rejected: messages refused, by reason; those that could not be read at all count for every
+        samples: how many were learnt.
+        rejections: messages refused, by reason; those that could not be read at all count for every
             motor.
-        received: messages by signal; speed is not counted motor by motor.
+        messages: messages by signal; speed is not counted motor by motor.
         changes: how often the motor has been found changed since diagnostics last found it
             identified.
     """
 
-    used: int
-    rejected: Counter[Rejection]
-    received: dict[str, int]
+    samples: int
+    rejections: Counter[Rejection]
+    messages: dict[str, int]
     changes: int
 
 

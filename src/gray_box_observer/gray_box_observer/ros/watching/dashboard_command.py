@@ -16,7 +16,7 @@ from gray_box_observer.errors import GrayBoxError, InputError
 from gray_box_observer.ros.watching.watch_command import EXIT_USER_ERROR, part_words
 from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.settings.configuration import read_parameter_file
+from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 
 LOOPBACK = '127.0.0.1'
 STDIN = 0
@@ -105,7 +105,7 @@ def _read_signals(line: bytes) -> dict[str, Any]:
         data = json.loads(line)
     except (ValueError, RecursionError):
         data = None
-    names = ('parameters', 'resolved')
+    names = ('parameters', 'topic_names')
     if not isinstance(data, dict) or not all(isinstance(data.get(name), dict) for name in names):
         raise InputError(
             'the observer that started this has not said how it reads its signals: it may have '

@@ -37,14 +37,14 @@ class DashboardSettings:
         address, port: to listen on; port 0: one that is free.
         observers: names of the only ones to show; none for all.
         parameters: of the observer, by dotted names: they say how signals are read.
-        resolved: topics from the root on, by the configured names, where an observer says them.
+        topic_names: topics from the root on, by the configured names, where an observer says them.
     """
 
     address: str = '127.0.0.1'
     port: int = 0
     observers: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    resolved: Mapping[str, str] = field(default_factory=dict)
+    topic_names: Mapping[str, str] = field(default_factory=dict)
 
 
 class DashboardNode(Node):
@@ -96,7 +96,7 @@ class DashboardNode(Node):
         from gray_box_observer.ros.watching.signal_listener import SignalListener
 
         signals = SignalListener(
-            self, self.source.signals, self._configuration, self._settings.resolved
+            self, self.source.signals, self._configuration, self._settings.topic_names
         )
         for observer in self._settings.observers:
             signals.listen_to(observer)

@@ -17,7 +17,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float64MultiArray
 
 from gray_box_observer.ros.topics import DIAGNOSTICS, ESTIMATES
-from gray_box_observer.settings.configuration import NODE_NAME
+from gray_box_observer.settings.ros_parameter_file import NODE_NAME
 from gray_box_observer.watching.observer_state import MOST_OBSERVERS, WatchedState
 
 LOOK_ROUND_S = 0.25
@@ -55,7 +55,7 @@ class ObserverListener:
         self._node = node
         self._state = state
         self._clock = clock
-        self._wanted = frozenset(observers)
+        self._observer_names = frozenset(observers)
         self._estimates: dict[str, Subscription] = {}
         self._diagnostics = node.create_subscription(
             DIAGNOSTICS.type, DIAGNOSTICS.name, _unused, DIAGNOSTICS.qos
@@ -79,7 +79,7 @@ class ObserverListener:
             self._add_diagnostics(message, now_s)
 
     def _discover(self) -> None:
-        if self._wanted:
+        if self._observer_names:
             return
         for topic, types in self._node.get_topic_names_and_types():
             observer = topic.removesuffix(_LEAF)

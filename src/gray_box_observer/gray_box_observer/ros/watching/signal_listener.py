@@ -45,7 +45,7 @@ class SignalListener:
         node: who listens.
         courses: where they go.
         configuration: of the observer: topics, fields, scales.
-        resolved: names of topics from the root on, by the configured ones, where they are others
+        topic_names: names of topics from the root on, by the configured ones, where they are others
             than the node's namespace makes of them.
     """
 
@@ -54,7 +54,7 @@ class SignalListener:
         node: Node,
         courses: SignalCourses,
         configuration: Configuration,
-        resolved: Mapping[str, str],
+        topic_names: Mapping[str, str],
     ) -> None:
         self._node = node
         self._courses = courses
@@ -68,7 +68,7 @@ class SignalListener:
             if kind is None or not names:
                 continue
             decode = _decoder(kind, feed.type_name)
-            topic = resolved.get(feed.topic, feed.topic)
+            topic = topic_names.get(feed.topic, feed.topic)
             for name in names:
                 reader = self._reader(signals[name], feed.topic, decode, name)
                 self._subscribe(kind, topic, reader)
@@ -80,13 +80,13 @@ class SignalListener:
         self._observers.add(observer)
         decode = JointStateDecoder()
         for kind, (topic, field) in _OF_OBSERVER.items():
-            thinning = Thinning()
+            rate_limit = Thinning()
 
             def read(
-                data: bytes, kind: str = kind, field: str = field, thinning: Thinning = thinning
+                data: bytes, kind: str = kind, field: str = field, rate_limit: Thinning = rate_limit
             ) -> None:
                 view = decode(data)
-                if thinning.is_kept(view.stamp_ns):
+                if rate_limit.is_kept(view.stamp_ns):
                     names, values = names_of(view) or (), getattr(view, field)
                     if len(names) == len(values):
                         self._courses.add(observer, kind, names, values, view.stamp_ns)
@@ -118,16 +118,16 @@ class SignalListener:
         kind: str,
     ) -> Reader:
         """Return what reads the messages of one topic into the courses of one signal."""
-        thinning = Thinning()
+        rate_limit = Thinning()
 
         def read(data: bytes) -> None:
             message = decode(data)
             stamp_ns = stamp_of(message, self._node.get_clock().now().nanoseconds)
             if isinstance(signal, CombinedSignal):  # it needs every message
                 for value_ns, reading, _, _ in signal.ingest(topic, message, stamp_ns):
-                    if reading is not None and thinning.is_kept(value_ns):
+                    if reading is not None and rate_limit.is_kept(value_ns):
                         self._courses.add('', kind, reading.names, reading.values, value_ns)
-            elif thinning.is_kept(stamp_ns):
+            elif rate_limit.is_kept(stamp_ns):
                 names, values, _ = signal.read(message)
                 self._courses.add('', kind, names, values, stamp_ns)
 

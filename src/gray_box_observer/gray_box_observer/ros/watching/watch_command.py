@@ -129,8 +129,8 @@ def _check(
 
 def _watch_bag(options: argparse.Namespace, observers: tuple[str, ...]) -> None:
     """Show a bag."""
-    from gray_box_observer.settings.configuration import read_parameter_file
-    from gray_box_observer.watching.recorded_run import Playing, watch_bag
+    from gray_box_observer.settings.ros_parameter_file import read_parameter_file
+    from gray_box_observer.watching.recorded_run import Playback, watch_bag
     from gray_box_observer.watching.table_display import TableDisplay
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -139,8 +139,8 @@ def _watch_bag(options: argparse.Namespace, observers: tuple[str, ...]) -> None:
     rate = 0.0 if options.once or options.rate is None else options.rate
     period_s = 0.0 if options.once else options.period
     with TableDisplay(sys.stdout, options.motors, live=not options.once) as display:
-        playing = Playing(rate, period_s, observers)
-        warnings = watch_bag(options.bag, parameter_values, playing, display)
+        playback = Playback(rate, period_s, observers)
+        warnings = watch_bag(options.bag, parameter_values, playback, display)
     for warning in warnings:
         _tell(f'warning: {warning}')
 

@@ -66,35 +66,35 @@ class PageFeed:
 
     def __init__(self, source: PageSource, observer: str = '', motor: str = '') -> None:
         self._source = source
-        self._asked = observer, motor
-        self._shown: tuple[str, str] | None = None
+        self._request = observer, motor
+        self._choice: tuple[str, str] | None = None
         self._told_s: dict[str, float] = {}
 
     def update(self) -> dict[str, Any]:
         """Return what is new, as plain values for JSON; numbers that are not finite are None."""
         with self._source.lock:
             now_s = self._source.clock()
-            told: dict[str, Any] = {'observers': self._observers(now_s)}
-            shown = self._choose()
-            if shown is None:
-                return told
-            if shown != self._shown:
-                self._shown = shown
+            update: dict[str, Any] = {'observers': self._observers(now_s)}
+            choice = self._choose()
+            if choice is None:
+                return update
+            if choice != self._choice:
+                self._choice = choice
                 self._told_s.clear()
-                told['begins'] = True
-            observer, name = shown
+                update['begins'] = True
+            observer, name = choice
             motor = self._source.state.observers[observer].motors[name]
-            told['motor'] = self._motor(observer, motor)
-            told['courses'] = {
+            update['motor'] = self._motor(observer, motor)
+            update['courses'] = {
                 parameter.name: self._course(motor, parameter.name)
                 for parameter in motor.parameters.values()
             }
-            told['signals'] = {kind: self._signal(observer, name, kind) for kind in KINDS}
-        return told
+            update['signals'] = {kind: self._signal(observer, name, kind) for kind in KINDS}
+        return update
 
     def _choose(self) -> tuple[str, str] | None:
         """Return the motor that is asked for, else the one that is shown, else the first."""
-        for choice in (self._asked, self._shown):
+        for choice in (self._request, self._choice):
             if choice is not None:
                 observer = self._source.state.observers.get(choice[0])
                 if observer is not None and choice[1] in observer.motors:
@@ -129,7 +129,7 @@ class PageFeed:
 
     @staticmethod
     def _motor(observer: str, motor: MotorState) -> dict[str, Any]:
-        told: dict[str, Any] = plain(
+        update: dict[str, Any] = plain(
             {
                 'observer': observer,
                 'name': motor.name,
@@ -149,7 +149,7 @@ class PageFeed:
                 ],
             }
         )
-        return told
+        return update
 
     def _course(self, motor: MotorState, name: str) -> list[list[float | None]]:
         """Return new times (s), values and standard deviations."""

@@ -98,11 +98,11 @@ class PageServer:
                 'port, or 0 for a free one'
             ) from error
         own_port = self._sockets[0].getsockname()[1]
-        shown = f'[{address}]' if ':' in address else address
-        self.url = f'http://{shown}:{own_port}/'
+        host = f'[{address}]' if ':' in address else address
+        self.url = f'http://{host}:{own_port}/'
         self._source = source
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._ended: asyncio.Event | None = None
+        self._end: asyncio.Event | None = None
         self._failure: BaseException | None = None
         self._is_ready = threading.Event()
         self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
@@ -134,8 +134,8 @@ class PageServer:
 
     def stop(self) -> None:
         """End; open pages are told no more."""
-        if self._loop is not None and self._ended is not None and self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._ended.set)
+        if self._loop is not None and self._end is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._end.set)
             self._thread.join(timeout=END_S)
 
     def _run(self) -> None:
@@ -147,7 +147,7 @@ class PageServer:
             self._is_ready.set()
 
     async def _serve(self) -> None:
-        self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
         server = _BoundedServer(
             make_application(self._source),
             max_header_size=MAX_HEADER_BYTES,
@@ -158,7 +158,7 @@ class PageServer:
         )
         server.add_sockets(self._sockets)
         self._is_ready.set()
-        await self._ended.wait()
+        await self._end.wait()
         server.stop()
         await server.close_all_connections()
 
@@ -192,14 +192,14 @@ class _OwnFile:
     def __post_init__(self) -> None:
         self.content = (Path(__file__).parent / self.name).read_bytes()
         self.validator = ''
-        self.caching = HEADERS['Cache-Control']
+        self.cache_control = HEADERS['Cache-Control']
 
 
 class _Plotly:
     """plotly.js: some megabytes, which are read once, when they are first asked for."""
 
     kind = _SCRIPT
-    caching = 'private, no-cache'
+    cache_control = 'private, no-cache'
     """A browser keeps it, and asks whether it is still the same."""
 
     @cached_property
@@ -221,20 +221,20 @@ def make_application(
         source: what pages are told.
         host_name: says what this machine is called.
     """
-    shared: dict[str, Any] = {'own_names': frozenset({'localhost', host_name().lower()})}
+    common: dict[str, Any] = {'own_names': frozenset({'localhost', host_name().lower()})}
     files = [
-        (path, _FileHandler, {**shared, 'file': _OwnFile(name, kind)})
+        (path, _FileHandler, {**common, 'file': _OwnFile(name, kind)})
         for path, (name, kind) in FILES.items()
     ]
     pages: set[object] = set()
     return Application(
         [
             *files,
-            (PLOTLY, _FileHandler, {**shared, 'file': _Plotly()}),
-            ('/events', _EventHandler, {**shared, 'source': source, 'pages': pages}),
+            (PLOTLY, _FileHandler, {**common, 'file': _Plotly()}),
+            ('/events', _EventHandler, {**common, 'source': source, 'pages': pages}),
         ],
         default_handler_class=_NothingHandler,
-        default_handler_args=shared,
+        default_handler_args=common,
         log_function=lambda _handler: None,
         compress_response=False,
     )
@@ -309,7 +309,7 @@ class _FileHandler(_Handler):
 
     async def get(self) -> None:
         self.set_header('Content-Type', self._file.kind)
-        self.set_header('Cache-Control', self._file.caching)
+        self.set_header('Cache-Control', self._file.cache_control)
         try:
             await asyncio.wait_for(self.finish(self._file.content), STALLED_S)
         except (StreamClosedError, asyncio.TimeoutError):
@@ -347,8 +347,8 @@ class _EventHandler(_Handler):
             self.set_header('Content-Type', 'text/event-stream')
             feed = PageFeed(self._source, observer, motor)
             while True:
-                told = json.dumps(feed.update(), allow_nan=False, separators=(',', ':'))
-                self.write(f'data: {told}\n\n')
+                update = json.dumps(feed.update(), allow_nan=False, separators=(',', ':'))
+                self.write(f'data: {update}\n\n')
                 await asyncio.wait_for(self.flush(), STALLED_S)
                 await asyncio.sleep(UPDATE_S)
         except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):

@@ -1,0 +1,88 @@
+"""What a test of a motor's fit leaves behind, for the next tests and for checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.fit_test.assessment import FitAssessment
+from gray_box_observer.fit_test.policy import Judgement
+from gray_box_observer.white_box.interface import Array
+
+LESS = 0.5
+"""Share of the samples, and of the range of the voltage, that a misfit rests on which can overrule
+it."""
+
+PASSING = 3
+"""Misfits in a row that may be those of a motor that is changing: any good test overrules them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitResult:
+    """What a motor's newest test has left.
+
+    Attributes:
+        assessment: what is published.
+        judgement: what follows for its estimate.
+        theta: shape (parameter,): the values tested.
+        place: in its stream of samples.
+        begin: place before the oldest sample that counted.
+        wait: samples to the next test.
+        range_v: range of the voltage in the samples that a misfit rests on.
+        misfits: tests in a row that found a misfit.
+        noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
+            where none did.
+    """
+
+    assessment: FitAssessment
+    judgement: Judgement
+    theta: Array
+    place: int
+    begin: int
+    wait: int
+    range_v: float
+    misfits: int
+    noise_a: float
+
+    @property
+    def is_lasting_misfit(self) -> bool:
+        """Whether there were too many misfits in a row for those of a motor that is changing."""
+        return self.misfits > PASSING
+
+    def outweighs(self, count: int, range_v: float) -> bool:
+        """Tell whether a misfit outweighs later samples that show none but tell less."""
+        poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
+        return self.is_lasting_misfit and poorer
+
+    def state(self, received_count: int) -> dict[str, Any]:
+        """Return all of it as plain values; places count back from the newest sample."""
+        return {
+            'assessment': {**self.assessment.to_dict(), 'samples': self.assessment.samples},
+            'factor': self.judgement.factor.tolist(),
+            'spread': self.judgement.spread.tolist(),
+            'theta': self.theta.tolist(),
+            'place': self.place - received_count,
+            'begin': self.begin - received_count,
+            'wait': self.wait,
+            'range_v': self.range_v,
+            'misfits': self.misfits,
+            'noise_a': self.noise_a,
+        }
+
+    @classmethod
+    def restored(cls, plain: dict[str, Any], received_count: int) -> FitResult:
+        """Take back what :meth:`state` gave, once it was checked."""
+        assessment = FitAssessment.from_dict(plain['assessment'])
+        return cls(
+            assessment,
+            Judgement(assessment.verdict, np.array(plain['factor']), np.array(plain['spread'])),
+            np.array(plain['theta']),
+            plain['place'] + received_count,
+            plain['begin'] + received_count,
+            plain['wait'],
+            plain['range_v'],
+            plain['misfits'],
+            plain.get('noise_a', 0.0),  # releases before kept none
+        )

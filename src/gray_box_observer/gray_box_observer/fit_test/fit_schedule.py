@@ -1,0 +1,207 @@
+"""Says when the fit of each motor of a group is tested.
+
+A motor is tested when a parameter would first be called identified, then each time its data have
+doubled, at last every LONGEST_WAIT samples; sooner after a misfit, for a motor that settles is soon
+another one. All is decided by counts of samples, so that every door leads to the same verdicts.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.fit_test.assessment import FitVerdict
+from gray_box_observer.fit_test.fit_result import PASSING, FitResult
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+
+SHORTEST_WAIT = 64
+"""Samples between two tests of a motor, at least."""
+
+RECENT_WAIT = 256
+"""Samples between two tests of the newest samples alone."""
+
+LONGEST_SOON = 512
+"""Samples between two tests, at most, of a motor that does not fit and has become another one."""
+
+UNASKED = 256
+"""Samples after which a motor is tested though nothing of it would be called identified."""
+
+MOVED = 0.1
+"""Change of a parameter's logarithm by which a motor is another one than was tested."""
+
+MANY = 1024
+"""Motors of which one is tested at one sample of the group; of more, as many more."""
+
+NEVER = np.iinfo(np.int64).max
+
+
+class FitSchedule:
+    """Says when each motor is tested next.
+
+    Args:
+        fewest: shape (motor,): samples that a test needs at least.
+        parameters: how many a motor has.
+    """
+
+    def __init__(self, fewest: NDArray[np.int_], parameters: int) -> None:
+        count = fewest.size
+        self._fewest = fewest
+        self._due = fewest.copy()
+        self._soon = np.full(count, NEVER)
+        self._begin = np.full(count, NEVER)
+        self._tested_at = np.zeros(count, dtype=np.int64)
+        self._theta = np.full((count, parameters), np.nan)
+        self._has_result = np.zeros(count, dtype=bool)
+        self._has_passed = np.zeros(count, dtype=bool)
+        self._movers: frozenset[int] = frozenset()
+
+    def due(
+        self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]
+    ) -> list[int]:  # fmt: skip
+        """Return which of some motors are to be tested now.
+
+        Args:
+            replay: samples of all motors.
+            estimate: of these motors, in the same order.
+            motors: their places on the motor axis.
+        """
+        self._movers = frozenset()
+        places, due, soon = replay.received[motors], self._due[motors], self._soon[motors]
+        if (places < np.minimum(due, soon)).all():
+            return []
+        has_changed = replay.begin(motors) > self._begin[motors]
+        has_waited = places >= np.where(has_changed, soon, due)
+        has_moved = (places >= soon) & self._has_moved(estimate, motors)
+        rows = np.flatnonzero(has_waited | has_moved)
+        if not rows.size:
+            return []
+        self._movers = frozenset(motors[has_moved].tolist())
+        rows = rows[np.argsort(due[rows], kind='stable')]  # who has waited longest is first
+        due_motors = (
+            int(motors[row])
+            for row in rows.tolist()
+            if self._is_ripe(estimate, row, motors[row], places[row])
+        )
+        return list(islice(due_motors, max(1, self._due.size // MANY)))
+
+    def is_urgent(self, motor: int) -> bool:
+        """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
+        return motor in self._movers or not self._has_passed[motor]
+
+    def is_stale(self, replay: ReplayBuffer, motor: int) -> bool:
+        """Tell whether a motor with a rotor is to be tested by its newest samples.
+
+        Args:
+            replay: samples of all motors.
+            motor: its place on the motor axis.
+        """
+        wait: int = replay.received.item(motor) - self._tested_at.item(motor)
+        return wait >= RECENT_WAIT and bool(self._has_passed[motor])
+
+    def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
+        """Tell whether a first test is worth its time: something would be believed without it."""
+        hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
+        return bool(self._has_result[motor]) or hopeful or bool(place >= UNASKED)
+
+    def _has_moved(self, estimate: Estimate, motors: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell which motors are others than were tested, shape (motor,).
+
+        What a test has found holds for the values tested. Of a motor that fits, those count that
+        are believed.
+        """
+        far = np.abs(np.log(estimate.value / self._theta[motors])) > MOVED
+        has_moved: NDArray[np.bool_] = far.any(axis=1)
+        if not has_moved.any():
+            return has_moved
+        for row in np.flatnonzero(has_moved & self._has_passed[motors]).tolist():
+            verdicts = zip(estimate.verdicts[row], far[row], strict=True)
+            has_moved[row] = any(
+                verdict is Verdict.IDENTIFIED and is_far for verdict, is_far in verdicts
+            )
+        return has_moved
+
+    def begin_test(self, motor: int, place: int) -> None:
+        """Note that a motor is tested.
+
+        Args:
+            motor: its place on the motor axis.
+            place: in its stream of samples.
+        """
+        self._tested_at[motor] = place
+
+    def put_off(self, motor: int, place: int) -> None:
+        """Ask again at a place where there may be more to tell by."""
+        self._due[motor] = self._soon[motor] = place
+
+    def follow(self, motor: int, result: FitResult) -> None:
+        """Note when a motor is tested next, after what its newest test has left."""
+        self._due[motor] = result.place + result.wait
+        self._soon[motor] = result.place + _soonest(result.misfits)
+        self._begin[motor] = result.begin
+        self._theta[motor] = result.theta
+        self._has_result[motor] = True
+        self._has_passed[motor] = result.assessment.verdict is not FitVerdict.MISFIT
+
+    def forget(self, motors: Any = slice(None)) -> None:
+        """Start anew with some motors: what was tested is no more."""
+        self._due[motors] = self._fewest[motors]
+        self._soon[motors] = self._begin[motors] = NEVER
+        self._tested_at[motors] = 0
+        self._theta[motors] = np.nan
+        self._has_result[motors] = self._has_passed[motors] = False
+
+    def state(self, motor: int, received_count: int) -> dict[str, Any]:
+        """Return when one motor is tested next; places count back from the newest sample."""
+        soon = int(self._soon[motor])
+        return {
+            'due': int(self._due[motor]) - received_count,
+            'soon': soon - received_count if soon < NEVER else None,
+            'tested_at': int(self._tested_at[motor]) - received_count,
+        }
+
+    def restore(
+        self, plain: dict[str, Any], motor: int, received_count: int, result: FitResult | None
+    ) -> None:
+        """Take back what :meth:`state` gave.
+
+        Args:
+            plain: the state, checked.
+            motor: its place on the motor axis.
+            received_count: place of the newest sample.
+            result: what its newest test has left; None: there was none.
+        """
+        self.forget(motor)
+        if result is not None:
+            self.follow(motor, result)
+        self._due[motor] = plain['due'] + received_count
+        self._tested_at[motor] = plain.get('tested_at', 0) + received_count
+        if plain.get('soon') is not None:
+            self._soon[motor] = plain['soon'] + received_count
+
+
+def wait_after(before: FitResult | None, verdict: FitVerdict, count: int) -> int:
+    """Return the samples to the next test: as many as this one; after a misfit few, then doubling.
+
+    Args:
+        before: what the test before has left; None: there was none.
+        verdict: of this test.
+        count: samples that it rests on.
+    """
+    if verdict is not FitVerdict.MISFIT:
+        return int(np.clip(count, SHORTEST_WAIT, LONGEST_WAIT))
+    if before is None or before.assessment.verdict is not FitVerdict.MISFIT:
+        return SHORTEST_WAIT
+    return min(2 * before.wait, LONGEST_WAIT)
+
+
+def _soonest(misfits: int) -> int:
+    """Samples to a test of a motor that has become another one, after so many misfits in a row.
+
+    One that goes on changing without ever fitting is asked less and less often.
+    """
+    return min(SHORTEST_WAIT << min(max(misfits - PASSING, 0), 8), LONGEST_SOON)

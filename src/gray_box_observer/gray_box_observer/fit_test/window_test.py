@@ -1,0 +1,346 @@
+"""Tests whether a white box explains one motor's newest samples, and names what it leaves out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.update_rule import ContextUpdate
+from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
+from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, REMEDIES
+from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.fit_schedule import wait_after
+from gray_box_observer.fit_test.policy import (
+    NOTICEABLE,
+    RATIO_MISFIT,
+    SCORE_DOUBT,
+    WHITENESS_DOUBT,
+    Judgement,
+    is_dubious,
+    judge,
+    shows_change,
+    with_shift,
+)
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
+from gray_box_observer.fit_test.speed_curve import inductance_shift
+from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
+from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
+from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.interface import Array
+
+WINDOW = 4096
+"""Newest samples, at most, that a test looks at."""
+
+RECENT = 512
+"""Newest samples by which a motor with a rotor is tested between its fits, which come ever rarer:
+one that has changed is none that may be believed."""
+
+FEWEST = 64
+"""Samples of which a test tells something: a rotor whose speed nobody measures takes so long to
+show."""
+
+FEWEST_WITH_SPEED = 32
+"""The same where the speed is measured."""
+
+HELD = 0.01
+"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
+the fit."""
+
+HELD_NOISY = 0.05
+"""The same, at most, where the voltage is measured: its own noise is no move."""
+
+NOISE_RANGE = 10.0
+"""Range of so much noise in standard deviations: that of 4096 samples is 7 to 9."""
+
+CLEARLY, VERY_CLEARLY = 30.0, 300.0
+"""Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
+small residual; else the free run is asked."""
+
+MILD = 1.5
+"""Residual over noise floor up to which it is small."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorUnderTest:
+    """A motor, as it is when it is tested.
+
+    Attributes:
+        nodes: the rule that has learnt it, perhaps with others.
+        estimate: of this motor alone, as the rule gives it.
+        motor: its place on the motor axis.
+        delay: what is known of its delay.
+        before: what its last test has left; None: there was none.
+    """
+
+    nodes: ContextUpdate
+    estimate: Estimate
+    motor: int
+    delay: DelayEstimate
+    before: FitResult | None
+
+    @property
+    def one(self) -> slice:
+        """The motor on the motor axis."""
+        return slice(self.motor, self.motor + 1)
+
+    @property
+    def place(self) -> int:
+        """Place of its newest sample."""
+        return int(self.nodes.replay.received[self.motor])
+
+    @property
+    def begin(self) -> int:
+        """Place before the oldest sample that counts."""
+        return int(self.nodes.replay.begin(self.one)[0])
+
+    def count(self, most: int) -> int:
+        """Return how many of its newest samples there are, up to a number."""
+        return int(min(self.nodes.replay.remembered(self.one)[0], most))
+
+    def newest(self, count: int) -> Array:
+        """Return its newest samples, shape (signal, 1, n)."""
+        return self.nodes.replay.newest(count, self.one)
+
+    def content(self) -> Array:
+        """Return its newest samples, also those that are learnt from no more."""
+        return self.newest(min(self.nodes.replay.stored(self.motor), WINDOW))
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding:
+    """What a look at some newest samples has found.
+
+    Attributes:
+        analysis: of the residual.
+        judgement: what follows for the estimate.
+        suspects: doubts about the data themselves.
+        delay_suspect: where the delay is not what it was taken for; None: nothing is wrong there.
+        noise_a: standard deviation in A of the current's noise.
+    """
+
+    analysis: ResidualAnalysis
+    judgement: Judgement
+    suspects: list[Suspect]
+    delay_suspect: Suspect | None
+    noise_a: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindowTest:
+    """Tests the newest samples of one motor.
+
+    Attributes:
+        configuration: what is known of the motor beforehand.
+        white_box: its physics.
+        quantity: what the torque signal is taken for: ``torque`` or ``current``.
+    """
+
+    configuration: MotorConfiguration
+    white_box: MotorWhiteBox
+    quantity: str
+
+    @property
+    def fewest(self) -> int:
+        """Samples of which a test tells something."""
+        return FEWEST_WITH_SPEED if self.white_box.speed_measured else FEWEST
+
+    @property
+    def _knows_speed(self) -> bool:
+        return self.white_box.speed_measured or self.white_box.has_rotor
+
+    def can_tell(self, motor: MotorUnderTest, count: int) -> bool:
+        """Tell whether so many newest samples tell something: the voltage moves among them.
+
+        A first test may do without, where it can be passed. Of a rotor that has settled, and nobody
+        measures, the resistance tells nothing: only a transient counts.
+        """
+        if not is_held(motor.newest(count)[VOLTAGE, 0]):
+            return True
+        hopeful = Verdict.IDENTIFIED in motor.estimate.verdicts[0]
+        is_first = motor.before is None and hopeful
+        return is_first and (self._knows_speed or _knows_inductance(motor.estimate))
+
+    def test(self, motor: MotorUnderTest, count: int) -> FitResult:
+        """Test so many newest samples."""
+        return self._conclude(motor, count, self._look(motor, count))
+
+    def test_change(self, motor: MotorUnderTest, count: int) -> FitResult | None:
+        """Test so many newest samples of a motor that has passed; None where it still does."""
+        finding = self._look(motor, count)
+        before, verdict = motor.before, finding.judgement.verdict
+        was_ok = before is not None and before.assessment.verdict is FitVerdict.OK
+        if verdict is not FitVerdict.MISFIT and not (was_ok and shows_change(finding.analysis)):
+            return None
+        change = Suspect(CHANGE, finding.analysis.whiteness, REMEDIES[CHANGE])
+        finding = replace(
+            finding,
+            judgement=replace(finding.judgement, verdict=FitVerdict.MISFIT),
+            suspects=[*finding.suspects, change],
+        )
+        return self._conclude(motor, count, finding)
+
+    def _look(self, motor: MotorUnderTest, count: int) -> _Finding:
+        """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
+        white_box, before, estimate = self.white_box, motor.before, motor.estimate
+        theta, samples = estimate.value, motor.newest(count)[:, 0]
+        window = SampleWindow.newest(white_box, motor.nodes.replay, count, motor.one)
+        is_drifting = motor.nodes.is_drifting(motor.motor)
+        with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
+            analysis = analyse(white_box, to_coordinates(theta), window, is_drifting)
+        judgement = judge(
+            analysis,
+            estimate.std[0] / theta[0],
+            motor.place - motor.begin,
+            speed_measured=self._knows_speed,
+            stamps_exact=bool(self.configuration.values['stamps_exact']),
+            is_doubted=before is not None and before.is_lasting_misfit,
+            is_drifting=is_drifting,
+        )
+        shift = inductance_shift(white_box, samples, theta[0])
+        judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
+        judgement = self._without_seen_rotor(judgement, theta[0])
+        content = motor.content()
+        data_doubts = doubts(white_box, samples, theta[0], self.configuration)
+        suspects = list(data_doubts.suspects)
+        is_duty = may_be_duty(content[VOLTAGE, 0])
+        sheet = doubt_of_data_sheet(
+            self.configuration, estimate, self.quantity, data_doubts.balance, is_duty=is_duty
+        )
+        if sheet is not None and not suspects:
+            suspects.append(sheet)
+        noise_a = analysis.moving_noise_a or (0.0 if before is None else before.noise_a)
+        range_suspect = doubt_of_range(white_box.state(content[TORQUE, 0]), noise_a)
+        if range_suspect is not None:
+            suspects.append(range_suspect)
+        delay_suspect = self._delay_suspect(motor.delay)
+        if suspects or delay_suspect is not None:
+            judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+        return _Finding(analysis, judgement, suspects, delay_suspect, noise_a)
+
+    def _conclude(self, motor: MotorUnderTest, count: int, finding: _Finding) -> FitResult:
+        """Name what is likely left out, and say what the test leaves."""
+        analysis, judgement, before = finding.analysis, finding.judgement, motor.before
+        suspects = finding.suspects
+        if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
+            candidates = (
+                {}  # its balance has a speed that nobody measures
+                if self.white_box.has_rotor
+                else explanations(
+                    self.white_box, SampleWindow.of_content(self.white_box, motor.content())
+                )
+            )
+            if _clearest(candidates) > VERY_CLEARLY:
+                judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+            if judgement.verdict is not FitVerdict.OK:
+                suspects = suspects + self._suspects(analysis, candidates)
+        delay = finding.delay_suspect
+        if delay is not None:
+            suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
+        range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
+        is_misfit = judgement.verdict is FitVerdict.MISFIT
+        if before is not None and not is_misfit and before.outweighs(count, range_v):
+            wait = min(2 * before.wait, LONGEST_WAIT)
+            return replace(before, place=motor.place, begin=motor.begin, wait=wait)
+        assessment = FitAssessment(
+            judgement.verdict, analysis.ratio, analysis.whiteness, _first_of_each(suspects),
+            analysis.samples,
+        )  # fmt: skip
+        earlier_misfits = 0 if before is None else before.misfits
+        return FitResult(
+            assessment,
+            judgement,
+            motor.estimate.value[0].copy(),
+            motor.place,
+            motor.begin,
+            wait_after(before, judgement.verdict, count),
+            range_v,
+            1 + earlier_misfits if is_misfit else 0,
+            finding.noise_a,
+        )
+
+    def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:
+        """Leave the resistance open by Kb Kt where a speed of Kt i is nothing but a guess.
+
+        A rotor that is blocked has no back-EMF, and leaves as white a residual.
+        """
+        white_box = self.white_box
+        nodes = white_box.context_nodes
+        is_guess = self.configuration.values['speed_source'] != 'torque_constant'
+        if self._knows_speed or not is_guess or 'resistance' not in nodes:
+            return judgement
+        place = nodes.index('resistance')
+        back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)
+        share = back_emf_ohm / float(theta[place])
+        return with_shift(judgement, place, share if share > NOTICEABLE else 0.0)
+
+    def _delay_suspect(self, delay: DelayEstimate) -> Suspect | None:
+        name = self.configuration.name
+        if delay.complaint(name) is None:
+            return None
+        evidence = 0.5 * (delay.value_s / max(delay.std_s, 1e-12)) ** 2
+        return Suspect('delay', evidence, f'{name}.delay: {delay.value_s:.3g}')
+
+    def _suspects(
+        self, analysis: ResidualAnalysis, candidates: Mapping[str, Explanation]
+    ) -> list[Suspect]:
+        """Name the likely missing effect: by voltage balance if much is wrong, else by free run."""
+        scores = {score.effect.name: 0.5 * score.score for score in analysis.scores}
+        clearest = _clearest(candidates)
+        is_coloured = analysis.whiteness > WHITENESS_DOUBT and analysis.ratio < RATIO_MISFIT
+        best_score = max(scores.values(), default=0.0)
+        if is_coloured and clearest < CLEARLY and best_score < 0.5 * SCORE_DOUBT:
+            return [Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])]
+        mild = analysis.ratio < MILD and clearest < VERY_CLEARLY
+        if scores and (clearest < CLEARLY or mild):
+            candidates = {
+                effect: replace(candidates[effect], evidence=evidence)
+                for effect, evidence in scores.items()
+                if effect in candidates
+            }
+        torque_constant = float(self.white_box.torque_constant)
+        return [
+            one.suspect(self.configuration.name, torque_constant)
+            for one in select_explanations(candidates.values(), scores)
+        ]
+
+
+def _clearest(candidates: Mapping[str, Explanation]) -> float:
+    """Return the log-likelihood of the best explanation that can be."""
+    return max((one.evidence for one in candidates.values() if one.is_credible), default=0.0)
+
+
+def _knows_inductance(estimate: Estimate) -> bool:
+    """Tell whether a motor's inductance is identified: its current was seen to rise or fall."""
+    verdicts = zip(estimate.parameters, estimate.verdicts[0], strict=True)
+    return any(
+        parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED
+        for parameter, verdict in verdicts
+    )
+
+
+def is_held(voltage_v: Array) -> bool:
+    """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
+    largest_v = float(np.max(np.abs(voltage_v)))
+    noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
+    by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
+    return float(np.ptp(voltage_v)) <= max(HELD * largest_v, by_noise_v)
+
+
+def _first_of_each(suspects: Sequence[Suspect]) -> tuple[Suspect, ...]:
+    """Return the first few suspects, each effect once."""
+    first: dict[str, Suspect] = {}
+    for suspect in suspects:
+        first.setdefault(suspect.effect, suspect)
+    return tuple(first.values())[:MOST_SUSPECTS]

@@ -1,0 +1,316 @@
+"""The trial of another form of the physics, beside the one in force and on remembered samples.
+
+It is done piece by piece. Nothing is read but what is saved with it, so that a restored trial comes
+to the same end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.pieces import MOST_PIECES, SAVED, Pieces, WorkBudget
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.observer.motor_form import IN_WORDS, OTHER, MotorForm
+from gray_box_observer.safe_io.saved_state import LARGEST, LATEST_NS, number_or_none, whole
+from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
+
+NEWEST = 2048
+"""Samples that a trial rests on, at most."""
+
+LOOKS = (512, 1024)
+"""Newest samples of them that are tried first: what explains not even these is given up at a
+fraction of the cost."""
+
+FEWEST_MOVES = 3
+"""Moves of the voltage from which a rotor can be told."""
+
+LARGEST_STD = 0.25
+"""Relative standard deviation of inductance, resistance and inertia up to which they are told."""
+
+EVIDENCE = 50.0
+"""Log-likelihood that the other form must bring. Drawn rotors bring 180 and more, and a rotor
+brings nothing where there is none."""
+
+HALF = 0.5
+"""Share of the residual that the other form may leave where its own test warns."""
+
+CATCH_UP, WORK_A_CATCH = 64, 3072
+"""Samples that a form takes over in one piece of work, once it is adopted, and what that costs."""
+
+LONGEST_BACKLOG = 4096
+"""Newest samples that have come during a trial, of which the form that is adopted learns."""
+
+FINISHED = 16 * SAVED
+"""Work that is done of a trial at the end of a recording, at most: about a second's."""
+
+_DECISIVE = ('inductance', 'resistance', 'inertia')
+
+_TRIAL, _BACKLOG = 'trial', 'backlog'
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOutcome:
+    """What a trial has ended with.
+
+    Attributes:
+        form: that the motor goes over to; None: it keeps its own.
+        reason: why.
+    """
+
+    form: MotorForm | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrialStart:
+    """What a trial begins with.
+
+    Attributes:
+        source: where the form in force has its speed from.
+        parameters: how many the form in force has.
+        number: of the trial, counted from 1.
+        content: shape (signal, 1, n): samples that it rests on.
+        stamp_ns: of the newest of them.
+        before_a: root mean square in A of the residual that the form in force leaves of them.
+    """
+
+    source: str
+    parameters: int
+    number: int
+    content: Array
+    stamp_ns: int
+    before_a: float
+
+
+class FormTrial:
+    """The trial under way.
+
+    Args:
+        start: what it begins with.
+        make: makes the form of a motor by the source of its speed.
+        backlog: samples that have come since, shape (signal,) each.
+
+    Attributes:
+        backlog: as above; of very many the newest.
+        adopted_count: how many of them a form that was found has learnt; None: none was found yet.
+        work: what is to be done.
+    """
+
+    def __init__(
+        self,
+        start: TrialStart,
+        make: Callable[[str], MotorForm],
+        backlog: Sequence[Array] = (),
+    ) -> None:
+        self._start = start
+        self._make = make
+        self.backlog = list(backlog)
+        self.adopted_count: int | None = None
+        self.work = self._steps()
+
+    def keep(self, samples: Array) -> None:
+        """Remember samples that have come, shape (signal, 1, n); of very many the newest."""
+        self.backlog.extend(samples[:, 0].T.copy())
+        excess_count = len(self.backlog) - LONGEST_BACKLOG
+        if excess_count > 0 and self.adopted_count is None:
+            del self.backlog[:excess_count]
+            self.backlog[0][INTERVAL] = 0.0  # the signal history begins here
+
+    def finish(self, budget: WorkBudget) -> TrialOutcome | None:
+        """Do what is left, within bounds; None where that is too much."""
+        work_count = 0
+        while work_count < FINISHED:
+            try:
+                work_count += next(self.work)
+            except StopIteration as end:
+                outcome: TrialOutcome = end.value
+                return outcome
+            budget.pieces += 1
+        return None
+
+    def hand_over(self, form: MotorForm, stamp_ns: int) -> None:
+        """Let the form that is adopted learn what is left of the backlog.
+
+        Args:
+            form: it.
+            stamp_ns: of the newest sample.
+        """
+        rest = self.backlog[self.adopted_count or 0 :]
+        if rest:
+            form.catch_up(_content(rest), stamp_ns)
+
+    def _steps(self) -> Pieces[TrialOutcome]:
+        """Compare the other form, and let it take over what has come since where it is better."""
+        outcome = yield from self._compare()
+        if outcome.form is None:
+            return outcome
+        self.adopted_count = 0
+        while len(self.backlog) - self.adopted_count > CATCH_UP:
+            part = self.backlog[self.adopted_count : self.adopted_count + CATCH_UP]
+            outcome.form.catch_up(_content(part), self._start.stamp_ns)
+            self.adopted_count += CATCH_UP
+            yield WORK_A_CATCH
+        return outcome
+
+    def _compare(self) -> Pieces[TrialOutcome]:
+        """Fit the other form; return it where it explains the data clearly better."""
+        start, content = self._start, self._start.content
+        total, before_a = content.shape[2], start.before_a
+        other = self._make(OTHER[start.source])
+        for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
+            if look > 0 and not other.can_go_on:
+                other = self._make(OTHER[start.source])
+            estimate = yield from other.learn_remembered(content[:, :, -count:], start.stamp_ns)
+            fit = other.fit.assessment(0)
+            if fit.verdict is FitVerdict.MISFIT:
+                return TrialOutcome(None, self._why_not(fit, estimate))
+        left_a = other.residual(content)
+        if self._is_better(fit, estimate, left_a, before_a):
+            same = self._make(start.source)  # the form in force may be in the midst of learning
+            yield from same.learn_remembered(content, start.stamp_ns)
+            before_a = min(before_a, same.residual(content))
+        if not self._is_better(fit, estimate, left_a, before_a):
+            return TrialOutcome(None, self._why_not(fit, estimate))
+        return TrialOutcome(
+            other,
+            f'{IN_WORDS[OTHER[start.source]]} explains the data: the residual of its free run is '
+            f'{fit.ratio:.3g} times the noise, that of {IN_WORDS[start.source]} '
+            f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood '
+            f'{self._gain(estimate, left_a, before_a):.3g})',
+        )
+
+    def _is_better(
+        self, fit: FitAssessment, estimate: Estimate, left_a: float, before_a: float
+    ) -> bool:
+        """Tell whether the other form explains the data clearly better, and is told by them.
+
+        Args:
+            fit: its own test.
+            estimate: its own.
+            left_a: root mean square in A of the residual that it leaves.
+            before_a: the same of the form in force.
+        """
+        return (
+            _explains(fit, left_a, before_a)
+            and _is_told(estimate)
+            and self._gain(estimate, left_a, before_a) > EVIDENCE
+        )
+
+    def _gain(self, estimate: Estimate, left_a: float, before_a: float) -> float:
+        """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
+        count = self._start.content.shape[2]
+        if not (left_a > 0.0 and np.isfinite(before_a)):
+            return 0.0 if left_a > 0.0 else -math.inf
+        cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
+        return float(count * math.log(max(before_a, 1e-300) / left_a) - cost)
+
+    def _why_not(self, fit: FitAssessment, estimate: Estimate) -> str:
+        """Say why the other form is not adopted."""
+        source, number = self._start.source, self._start.number
+        times = f'tried {number} times' if number > 1 else 'tried once'
+        begin = f'{IN_WORDS[source]} does not explain the data, and {IN_WORDS[OTHER[source]]}, '
+        if fit.verdict is FitVerdict.MISFIT:
+            return f'{begin}{times}, does not either'
+        if fit.verdict is FitVerdict.UNTESTED or not _is_told(estimate):
+            return f'{begin}{times}, cannot be told from them'
+        return f'{begin}{times}, explains them hardly better'
+
+    def state(self, pieces: int) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything, as plain values and arrays.
+
+        Args:
+            pieces: of the work, done so far.
+        """
+        before_a = self._start.before_a
+        plain = {
+            'stamp_ns': self._start.stamp_ns,
+            'before_a': before_a if math.isfinite(before_a) else None,
+            'pieces': pieces,
+        }
+        arrays = {_TRIAL: self._start.content.copy()}
+        if self.backlog:
+            arrays[_BACKLOG] = _content(self.backlog)
+        return plain, arrays
+
+    @classmethod
+    def restored(
+        cls,
+        plain: Mapping[str, Any],
+        arrays: Mapping[str, Array],
+        white_box: MotorWhiteBox,
+        source: str,
+        number: int,
+        make: Callable[[str], MotorForm],
+        budget: WorkBudget,
+    ) -> FormTrial:
+        """Return the trial that :meth:`state` gave; pieces that had been done are done again.
+
+        Args:
+            plain: of a state.
+            arrays: of the same.
+            white_box: the physics in force.
+            source: where it has its speed from.
+            number: of the trial, counted from 1.
+            make: makes a form, as above.
+            budget: what the pieces are counted in.
+
+        Raises:
+            CheckpointError: it is no state that a trial could have been in.
+        """
+        check_signals(_TRIAL, arrays.get(_TRIAL), longest=NEWEST)
+        if not can_tell(white_box, arrays[_TRIAL]):
+            raise CheckpointError(f'{_TRIAL} holds samples that no trial begins with')
+        before_a = number_or_none(plain, 'before_a', 0.0, LARGEST)
+        stamp_ns = whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
+        pieces = whole(plain, 'pieces', 0, MOST_PIECES)
+        backlog: Sequence[Array] = ()
+        if _BACKLOG in arrays:
+            check_signals(_BACKLOG, arrays[_BACKLOG], longest=2 * LONGEST_BACKLOG)
+            backlog = [*arrays[_BACKLOG][:, 0].T.copy()]
+        start = TrialStart(
+            source,
+            len(white_box.parameters),
+            number,
+            arrays[_TRIAL],
+            stamp_ns,
+            math.inf if before_a is None else before_a,
+        )
+        trial = cls(start, make, backlog)
+        budget.repeat(trial.work, pieces)
+        return trial
+
+
+def _content(backlog: Sequence[Array]) -> Array:
+    """Put samples side by side, shape (signal, 1, n)."""
+    return np.stack(backlog, axis=1)[:, None]
+
+
+def can_tell(white_box: MotorWhiteBox, content: Array) -> bool:
+    """Tell whether the voltage has moved often enough to tell a rotor."""
+    return Window.from_samples(white_box, content[:, 0]).moves >= FEWEST_MOVES
+
+
+def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:
+    """Tell whether a form explains the data: its test is passed, or nearly and by far better."""
+    if fit.verdict is FitVerdict.WARNING:
+        return left_a < HALF * before_a
+    return fit.verdict is FitVerdict.OK
+
+
+def _is_told(estimate: Estimate) -> bool:
+    """Tell whether the data tell what a form stands on."""
+    return all(
+        estimate.std[0, j] < LARGEST_STD * estimate.value[0, j]
+        for j, parameter in enumerate(estimate.parameters)
+        if parameter.name in _DECISIVE
+    )

@@ -1,0 +1,150 @@
+"""What is believed of motors' parameters: what their rule has learnt, as far as the fit allows.
+
+What is published says more, and nothing leans on it: the parameters of a measured rotor, and what
+is not known of the scales.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, MeasuredSpeedUpdate
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.white_box.interface import Array
+
+
+class ParameterBelief:
+    """Holds what is believed of motors that are sampled together.
+
+    ``theta``, ``covariance`` and ``is_identified`` are replaced, never written to: what was
+    believed before may still be needed.
+
+    Args:
+        form: what the motors are observed by.
+
+    Attributes:
+        context_nodes: the rule; another one where samples are learnt anew.
+        theta: shape (motor, parameter): values believed.
+        covariance: shape (motor, parameter, parameter): of these.
+        is_identified: shape (motor,): whether all of theta was identified, before a freeze.
+        known_flags: shape (motor, published parameter): the same of every published parameter.
+        mechanics: names of the published parameters of a measured rotor.
+    """
+
+    def __init__(self, form: MotorForm) -> None:
+        nodes = form.context_nodes
+        motors = nodes.theta.shape[0]
+        parameters = (
+            nodes.published_parameters
+            if isinstance(nodes, MeasuredSpeedUpdate)
+            else form.white_box.parameters
+        )
+        electrical = len(form.white_box.parameters)
+        self.context_nodes: ContextUpdate = nodes
+        self.mechanics = tuple(p.name for p in parameters[electrical:])
+        self.is_identified = np.zeros(motors, dtype=bool)
+        self.known_flags = np.zeros((motors, len(parameters)), dtype=bool)
+        self.theta: Array = nodes.theta
+        self.covariance: Array = np.zeros((motors, electrical, electrical))
+        self._fit = form.fit
+        self._scales = form.scales
+        self._places = np.arange(motors)
+
+    def present(self, motors: Any = slice(None)) -> Estimate:
+        """Return the present values of some motors, believed as far as the fit allows."""
+        return self._judged(self.context_nodes.estimate(motors), motors)
+
+    def _judged(self, estimate: Estimate, motors: Any) -> Estimate:
+        return self._fit.judged(self.context_nodes, estimate, self._places[motors])
+
+    def published(self, estimate: Estimate, motors: Any = slice(None)) -> Estimate:
+        """Add a measured rotor's parameters, and what is not known of the scales.
+
+        Args:
+            estimate: what is believed of some motors.
+            motors: index of these on the motor axis.
+        """
+        nodes = self.context_nodes
+        if self.mechanics:
+            assert isinstance(nodes, MeasuredSpeedUpdate)
+            is_believed = self._fit.assessment(0).verdict is not FitVerdict.MISFIT
+            estimate = nodes.with_mechanics(estimate, is_believed=is_believed)
+        if self._scales is None:
+            return estimate
+        return self._scales.widened(nodes, estimate, self._places[motors], nodes.verdict_rules)
+
+    def keep(self, estimate: Estimate, motors: Any, *, is_frozen: bool) -> None:
+        """Keep the beliefs of some motors, and whether all is identified; freezing keeps that.
+
+        Args:
+            estimate: what is believed of these.
+            motors: index of these on the motor axis.
+            is_frozen: whether learning is stopped.
+        """
+        if not is_frozen:
+            flags = _known_flags(estimate)
+            public_estimate = self.published(estimate, motors)
+            self._keep_flags(
+                motors,
+                flags.all(axis=1),
+                flags if public_estimate is estimate else _known_flags(public_estimate),
+            )
+        if estimate.value.shape[0] == self._places.size:
+            self.theta, self.covariance = estimate.value, estimate.covariance
+        else:
+            self.theta, self.covariance = self.theta.copy(), self.covariance.copy()
+            self.theta[motors], self.covariance[motors] = estimate.value, estimate.covariance
+
+    def _keep_flags(self, motors: Any, is_identified: Any, known_flags: Any) -> None:
+        self.is_identified = self.is_identified.copy()
+        self.is_identified[motors] = is_identified
+        self.known_flags[motors] = known_flags
+
+    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> tuple[Estimate, bool]:
+        """Test the fit of one motor.
+
+        Args:
+            motor: its place on the motor axis.
+            delay: what is known of its delay.
+            is_recent: whether its newest samples alone are tested.
+
+        Returns:
+            What is believed of it then, and whether that has changed.
+        """
+        one = slice(motor, motor + 1)
+        estimate = self.context_nodes.estimate(one)
+        before = self._judged(estimate, one)
+        test = self._fit.test_newest if is_recent else self._fit.test
+        test(self.context_nodes, estimate, motor, delay)
+        after = self._judged(estimate, one)
+        has_changed = before.verdicts != after.verdicts or not np.array_equal(
+            before.covariance, after.covariance
+        )
+        return after, has_changed
+
+    def check_flags(self, flags: Any) -> None:
+        """Refuse saved flags that are not one a published parameter.
+
+        Raises:
+            CheckpointError: they are not.
+        """
+        count = self.known_flags.shape[1]
+        if not isinstance(flags, list) or [type(one) for one in flags] != [bool] * count:
+            raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
+
+    def restore_flags(self, motor: int, is_identified: bool, flags: Sequence[bool]) -> None:
+        """Take back what was identified of one motor, where learning is stopped."""
+        self._keep_flags(slice(motor, motor + 1), is_identified, flags)
+
+
+def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:
+    """Tell of every motor and parameter whether it counts as known, shape (motor, parameter)."""
+    return np.array([[v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts])

@@ -1,0 +1,132 @@
+"""When the fit of a motor is tested: by counts of samples, of one motor as of many."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.fit_result import PASSING, FitResult
+from gray_box_observer.fit_test.fit_schedule import (
+    LONGEST_SOON,
+    RECENT_WAIT,
+    SHORTEST_WAIT,
+    UNASKED,
+    FitSchedule,
+    wait_after,
+)
+from gray_box_observer.fit_test.policy import Judgement
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT
+
+FEWEST = 64
+THETA = np.array([8e-3, 2.0])
+BELIEVED, OPEN = Verdict.IDENTIFIED, Verdict.CONVERGING
+
+
+class Streams:
+    """As many samples of every motor, none of them to be forgotten."""
+
+    def __init__(self, motors: int, received: int) -> None:
+        self.received = np.full(motors, received)
+
+    def begin(self, motors: np.ndarray) -> np.ndarray:
+        """Place before the oldest sample that counts."""
+        return np.zeros_like(motors)
+
+
+def estimate_of(motors: int, verdict: Verdict = BELIEVED, factor: float = 1.0) -> Estimate:
+    value, covariance = np.tile(factor * THETA, (motors, 1)), np.zeros((motors, 2, 2))
+    return Estimate(0, (), value, covariance, ((verdict, verdict),) * motors)
+
+
+def result_at(place: int, verdict: FitVerdict, wait: int, misfits: int = 0) -> FitResult:
+    judgement = Judgement(verdict, np.ones(2), np.zeros((2, 2)))
+    return FitResult(FitAssessment(verdict), judgement, THETA, place, 0, wait, 1.0, misfits, 0.0)
+
+
+def is_due(
+    schedule: FitSchedule, received: int, verdict: Verdict = BELIEVED, factor: float = 1.0
+) -> bool:
+    estimate = estimate_of(1, verdict, factor)
+    return schedule.due(Streams(1, received), estimate, np.arange(1)) == [0]
+
+
+@pytest.fixture
+def schedule() -> FitSchedule:
+    """Of one motor."""
+    return FitSchedule(np.array([FEWEST]), 2)
+
+
+def test_a_motor_is_first_tested_when_something_would_be_believed(schedule: FitSchedule) -> None:
+    assert not is_due(schedule, FEWEST - 1)
+    assert is_due(schedule, FEWEST)
+    assert not is_due(schedule, UNASKED - 1, OPEN)
+    assert is_due(schedule, UNASKED, OPEN)
+
+
+def test_a_motor_that_has_passed_waits_unless_what_is_believed_has_moved(
+    schedule: FitSchedule,
+) -> None:
+    schedule.follow(0, result_at(1000, FitVerdict.OK, 800))
+    assert not is_due(schedule, 1799)
+    assert is_due(schedule, 1800)
+    assert not schedule.is_urgent(0)
+    assert not is_due(schedule, 1000 + SHORTEST_WAIT, OPEN, factor=1.2)
+    assert not is_due(schedule, 1000 + SHORTEST_WAIT - 1, factor=1.2)
+    assert is_due(schedule, 1000 + SHORTEST_WAIT, factor=1.2)
+    assert schedule.is_urgent(0)
+
+
+def test_a_misfit_that_has_become_another_motor_is_asked_ever_less(schedule: FitSchedule) -> None:
+    for misfits, soon in ((1, SHORTEST_WAIT), (PASSING + 1, 2 * SHORTEST_WAIT), (90, LONGEST_SOON)):
+        schedule.follow(0, result_at(1000, FitVerdict.MISFIT, LONGEST_WAIT, misfits))
+        assert not is_due(schedule, 1000 + soon - 1, OPEN, factor=1.2)
+        assert is_due(schedule, 1000 + soon, OPEN, factor=1.2)
+
+
+def test_the_wait_follows_the_samples_and_doubles_after_misfits() -> None:
+    passed, misfit = (result_at(0, verdict, 1500) for verdict in (FitVerdict.OK, FitVerdict.MISFIT))
+    assert wait_after(None, FitVerdict.OK, 10) == SHORTEST_WAIT
+    assert wait_after(None, FitVerdict.WARNING, 700) == 700
+    assert wait_after(misfit, FitVerdict.OK, 9000) == LONGEST_WAIT
+    assert wait_after(passed, FitVerdict.MISFIT, 700) == SHORTEST_WAIT
+    assert wait_after(result_at(0, FitVerdict.MISFIT, 100), FitVerdict.MISFIT, 700) == 200
+    assert wait_after(misfit, FitVerdict.MISFIT, 700) == LONGEST_WAIT
+
+
+def test_newest_samples_are_tested_only_of_a_motor_that_has_passed(schedule: FitSchedule) -> None:
+    late = Streams(1, 1000 + RECENT_WAIT)
+    assert not schedule.is_stale(late, 0)
+    schedule.begin_test(0, 1000)
+    schedule.follow(0, result_at(1000, FitVerdict.MISFIT, LONGEST_WAIT))
+    assert not schedule.is_stale(late, 0)
+    schedule.follow(0, result_at(1000, FitVerdict.WARNING, LONGEST_WAIT))
+    assert schedule.is_stale(late, 0)
+    assert not schedule.is_stale(Streams(1, 999 + RECENT_WAIT), 0)
+
+
+def test_of_many_motors_who_has_waited_longest_is_tested_first() -> None:
+    many, everybody = FitSchedule(np.full(3, FEWEST), 2), np.arange(3)
+    for motor, place in enumerate((300, 100, 200)):
+        many.follow(motor, result_at(place, FitVerdict.OK, 100))
+    for motor in (1, 2, 0):
+        assert many.due(Streams(3, 400), estimate_of(3), everybody) == [motor]
+        many.follow(motor, result_at(400, FitVerdict.OK, 100))
+    assert many.due(Streams(3, 400), estimate_of(3), everybody) == []
+
+
+@pytest.mark.parametrize('result', [None, result_at(1000, FitVerdict.OK, 800)])
+def test_a_restored_schedule_asks_at_the_same_samples(
+    schedule: FitSchedule, result: FitResult | None
+) -> None:
+    if result is not None:
+        schedule.follow(0, result)
+    other = FitSchedule(np.array([FEWEST]), 2)
+    other.follow(0, result_at(50, FitVerdict.MISFIT, 64, 3))
+    other.restore(schedule.state(0, 1200), 0, 1200, result)
+    for received in (63, 64, 200, 256, 1799, 1800):
+        for factor in (1.0, 1.2):
+            expected = is_due(schedule, received, factor=factor)
+            assert is_due(other, received, factor=factor) is expected
+            assert other.is_urgent(0) is schedule.is_urgent(0)

@@ -1,0 +1,39 @@
+"""A motor with a rotor that turns freely, recorded without its speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.observer.observer import Observer
+
+GEAR_MOTOR = PlantParameters(
+    inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
+    inertia=1e-5, viscous_friction=1e-5, coulomb_friction=8.4e-3,
+)  # fmt: skip
+CONSTANTS = {'motor.torque_constant': 0.02, 'motor.back_emf_constant': 0.02}
+LIVELY = 'R[-12,12]D[0.05,0.5]'
+
+
+@cache
+def recorded(
+    plant: PlantParameters, excitation: str, duration_s: float, seed: int, rate_hz: float = 1000.0
+) -> Recording:
+    """Record a motor with 1 % noise; one with K_HS moves as in the thesis, others have a rotor."""
+    simulation = Simulation(
+        {'motor': plant}, excitation, seed=seed, sample_rate_hz=rate_hz, torque_noise_std=3e-4,
+        speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis',
+    )  # fmt: skip
+    return simulation.record(duration_s)
+
+
+def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0) -> int:
+    """Feed recordings one after another; return the stamp behind them."""
+    for recording in recordings:
+        for k, stamp in enumerate(recording.stamp_ns.tolist()):
+            observer.voltage('motor', begin_ns + stamp, float(recording.voltage_v[0, k]))
+            observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
+        begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
+    return begin_ns
