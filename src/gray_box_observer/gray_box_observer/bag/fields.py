@@ -104,7 +104,7 @@ class FieldPath:
 
     @property
     def plain_getter(self) -> Callable[[Any], Any]:
-        """The same without a word of what is missing: for types that are known to have the field."""
+        """The same for types that are known to have the field; any other is a Python error."""
         return self._get
 
     def __repr__(self) -> str:

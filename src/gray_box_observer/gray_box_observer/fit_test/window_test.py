@@ -214,9 +214,12 @@ class WindowTest:
         content = motor.content()
         data_doubts = doubts(white_box, samples, theta[0], self.configuration)
         suspects = list(data_doubts.suspects)
-        is_duty = may_be_duty(content[VOLTAGE, 0])
         sheet = doubt_of_data_sheet(
-            self.configuration, estimate, self.quantity, data_doubts.balance, is_duty=is_duty
+            self.configuration,
+            estimate,
+            self.quantity,
+            data_doubts.balance,
+            is_duty=may_be_duty(content[VOLTAGE, 0]),
         )
         if sheet is not None and not suspects:
             suspects.append(sheet)
