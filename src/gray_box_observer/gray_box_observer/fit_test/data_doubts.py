@@ -195,7 +195,7 @@ def _doubt_of_voltage(
     samples: Array, balance: BackEmfFit | None, motor: MotorConfiguration
 ) -> Suspect | None:
     """Doubt the unit of the voltage, by its size or by a Kb a thousand times the stated one."""
-    peak_v = float(np.percentile(np.abs(samples[VOLTAGE]), 99.0))
+    peak_v = _peak(samples[VOLTAGE], LARGEST_VOLTAGE_V)
     kb = float(motor.values[BACK_EMF])
     by_kb = (
         balance is not None
@@ -231,10 +231,11 @@ def _doubt_of_current(
 ) -> Suspect | None:
     """Doubt the unit of current or torque, unless a data sheet states so small a resistance."""
     current_a = white_box.state(samples[TORQUE])
-    peak_a = float(np.percentile(np.abs(current_a), 99.0))
+    peak_a = _peak(current_a, LARGE_CURRENT_A)
+    if peak_a < LARGE_CURRENT_A:
+        return None
     resistance_ohm = _smallest_resistance(white_box, samples, current_a, balance, theta)
-    lowest_ohm = min(LOWEST_RESISTANCE_OHM, _lowest_stated_ohm(motor))
-    if peak_a < LARGE_CURRENT_A or resistance_ohm >= lowest_ohm:
+    if resistance_ohm >= min(LOWEST_RESISTANCE_OHM, _lowest_stated_ohm(motor)):
         return None
     text = (
         f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN '
@@ -245,6 +246,13 @@ def _doubt_of_current(
     )
     ratio = LOWEST_RESISTANCE_OHM / max(resistance_ohm, 1e-9)
     return Suspect('units_of_current', _evidence(ratio, samples.shape[1]), text)
+
+
+def _peak(signal: Array, limit: float) -> float:
+    """Return what 99 % of a signal stay below, or its largest size where that is below a limit."""
+    size = np.abs(signal)
+    largest = float(size.max())
+    return largest if largest < limit else float(np.percentile(size, 99.0))
 
 
 def _lowest_stated_ohm(motor: MotorConfiguration) -> float:

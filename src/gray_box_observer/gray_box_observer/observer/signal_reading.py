@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,14 +76,16 @@ class _Usual(NamedTuple):
 
     Attributes:
         message_type: of the message.
+        names_getter: finds the names in it.
         names: as they stand in the message.
         value_type: of what holds the value.
         motors: the same names, as motors.
     """
 
     message_type: type
+    names_getter: Callable[[Any], Sequence[str] | None]
     names: Sequence[str]
-    value_type: type
+    value_type: Any
     motors: tuple[str, ...]
 
 
@@ -134,7 +137,7 @@ class Signal:
             if (
                 type(value) is usual.value_type
                 and len(value) == 1
-                and names_of(message) == usual.names
+                and usual.names_getter(message) == usual.names
             ):
                 return usual.motors, (self.scale * float(value[0]) + self.offset,), True
         try:
@@ -178,7 +181,9 @@ class Signal:
         elif (
             len(message_names) == 1 and name_check.has_our_motor and not self._path.may_have_entries
         ):
-            self._usual = _Usual(type(message), copy(names), type(value), name_check.names)
+            self._usual = _Usual(
+                type(message), _names_getter(message), copy(names), type(value), name_check.names
+            )
         return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:
@@ -269,6 +274,15 @@ def names_of(message: Any) -> Sequence[str] | None:
     if names is None or isinstance(names, str):
         return entry_names(message)
     return names  # type: ignore[no-any-return]
+
+
+def _names_getter(message: Any) -> Callable[[Any], Sequence[str] | None]:
+    """Return what finds the names in messages of this one's type, as :func:`names_of` does."""
+    for field in ('names', 'name'):
+        names = getattr(message, field, None)
+        if names is not None:
+            return attrgetter(field) if isinstance(names, (list, tuple)) else names_of
+    return names_of
 
 
 def _torque_constants(name: str, configuration: Configuration) -> Mapping[str, float]:

@@ -28,8 +28,8 @@ MAX_WAITING_VOLTAGES = 10_000
 FAR = 5.0
 """Usual moves from one voltage to the next that are far: so far it moves, if ever, at steps."""
 
-SHARE = 0.02
-"""By which the usual move follows."""
+USUAL = 50
+"""Newest voltages whose moves are the usual ones."""
 
 DUE = 1.1
 """Usual intervals after which the next voltage was due: the usual interval itself moves by 2 %."""
@@ -74,7 +74,7 @@ class HeldVoltage:
     def __init__(self, blank: Any) -> None:
         self._blank = blank
         self._rhythm = Rhythm()
-        self._usual_move_v: Any = 0.0
+        self._newest_voltages: deque[Any] = deque(maxlen=USUAL)
         self.restart()
 
     def restart(self) -> None:
@@ -126,33 +126,25 @@ class HeldVoltage:
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
-            loss = self._move(stamp_ns, voltage_v, is_missing)
+            has_loss = rhythm.loses((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND)
+            if has_loss is not False and np.any(has_loss):
+                loss = self._loss(voltage_v, has_loss)
             rhythm.update(interval_s)
+        self.newest_ns = stamp_ns
         told_ns = stamp_ns if is_missing is None else np.where(is_missing, self._told_ns, stamp_ns)
         self._told_ns = told_ns
-        self.newest_ns = stamp_ns
+        self._newest_voltages.append(voltage_v)
         self._future_voltages.append((stamp_ns, voltage_v, pause, loss))
         if (
             len(self._future_voltages) > MAX_WAITING_VOLTAGES
         ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
-    def _move(self, stamp_ns: int, voltage_v: Any, is_missing: Any) -> _Loss | None:
-        """Note how far the voltage has moved; return what that makes of samples that were lost."""
-        move_v = abs(voltage_v - self.newest_v)
-        usual_move_v = self._usual_move_v
-        if isinstance(move_v, np.ndarray):
-            move_v = np.nan_to_num(move_v, copy=False, nan=0.0)
-        elif move_v != move_v:  # a voltage that is not known
-            move_v = 0.0
-        followed_v = usual_move_v + SHARE * (move_v - usual_move_v)
-        if is_missing is not None:
-            followed_v = np.where(is_missing, usual_move_v, followed_v)
-        self._usual_move_v = followed_v
-        has_loss = self._rhythm.loses((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND)
-        if has_loss is False:
-            return None
-        is_far = has_loss & (move_v > FAR * usual_move_v)
+    def _loss(self, voltage_v: Any, has_loss: Any) -> _Loss | None:
+        """Return what a voltage that comes after lost samples makes of these; None: nothing."""
+        moves_v = np.abs(np.diff([*self._newest_voltages, voltage_v], axis=0))
+        moves_v[np.isnan(moves_v)] = 0.0
+        is_far = has_loss & (moves_v[-1] > FAR * moves_v[:-1].mean(axis=0))
         since_ns = self._told_ns + nanoseconds(DUE * self._rhythm.usual_s)
         return _Loss(since_ns, is_far) if np.any(is_far) else None
 

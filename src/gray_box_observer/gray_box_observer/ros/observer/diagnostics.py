@@ -174,7 +174,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
         return None
     trouble = now.inputs.trouble(n for n in silent if not now.message_input.message_counts[n])
     if trouble is not None:
-        level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
+        level = DiagnosticStatus.ERROR if trouble.is_broken else DiagnosticStatus.STALE
         return level, f'nothing received for this motor: {trouble.message}'
     if any(now.message_input.rejection_counts[n] for n in silent):
         complaint = next(
@@ -228,7 +228,7 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
         )
     trouble = now.inputs.trouble(n for n in silent if not now.traffic.messages[n])
     if trouble is not None:
-        level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
+        level = DiagnosticStatus.ERROR if trouble.is_broken else DiagnosticStatus.STALE
         return level, f'no new sample: {trouble.message}'
     topics = [
         f'{now.message_input.signals[n].topic} '
