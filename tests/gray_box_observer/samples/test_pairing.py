@@ -337,6 +337,19 @@ def test_of_a_group_only_the_motor_whose_voltage_moved_begins_anew() -> None:
     assert begins[1:].sum(axis=0).tolist() == [1, 0]
 
 
+def test_of_a_motor_of_a_group_that_some_messages_do_not_tell_the_same_holds() -> None:
+    pairing, samples = Pairing(motors=2), []
+    for k in range(300):
+        absent = np.array([k in (100, 200), False])
+        voltage_v = np.array([1.0 if k < 200 else 8.0, 1.0 if k < 200 else 8.0])
+        voltage_v = np.where(absent, np.nan, voltage_v)
+        samples += pairing.voltage(10 * k * MS, voltage_v, absent if absent.any() else None)
+        samples += pairing.torque(10 * k * MS, np.array([0.1, 0.2]))
+    begins = np.array([sample.interval_s == 0.0 for sample in samples])
+    assert begins[1:].sum(axis=0).tolist() == [1, 0]
+    assert begins[201, 0]
+
+
 @pytest.mark.parametrize(('lost', 'is_foreseen'), [(200, False), (150, True)])
 def test_nothing_is_foreseen_over_a_voltage_that_was_lost_at_a_step(
     lost: int, is_foreseen: bool

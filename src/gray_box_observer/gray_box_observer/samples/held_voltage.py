@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gray_box_observer.samples.rhythm import Rhythm
-from gray_box_observer.samples.sample import nanoseconds, seconds
+from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND, nanoseconds, seconds
 
 MAX_WAITING_VOLTAGES = 10_000
 
@@ -52,11 +52,11 @@ class _Loss(NamedTuple):
     """Samples that were lost before a voltage that came back far from where it had been.
 
     Attributes:
-        since_ns: when the first of them was due.
+        since_ns: when the first of them was due; of a group where its motors differ, an array.
         is_far: of which motors; of a single one, True.
     """
 
-    since_ns: int
+    since_ns: Any
     is_far: Any
 
 
@@ -85,6 +85,7 @@ class HeldVoltage:
         self._pauses = 0  # among those that are coming
         self._held_v: Any = self._blank
         self._held_ns: int | None = None  # since when that is in force
+        self._told_ns: Any = 0  # when the voltage of each motor was told last, or that of all
         self.newest_ns: int | None = None
 
     def __len__(self) -> int:
@@ -111,18 +112,27 @@ class HeldVoltage:
         """How long a voltage of one motor of a group may be missing before it is overdue, s."""
         return self._rhythm.silence_s if self._rhythm.regular else math.inf
 
-    def update(self, stamp_ns: int, voltage_v: Any) -> None:
-        """Let a voltage be in force from a stamp on that is newer than all before."""
+    def update(self, stamp_ns: int, voltage_v: Any, is_missing: Any = None) -> None:
+        """Let a voltage be in force from a stamp on that is newer than all before.
+
+        Args:
+            stamp_ns: the stamp.
+            voltage_v: the voltage; of motors of a group that it does not tell, the one before.
+            is_missing: of a group, which these are; None: none.
+        """
         pause = loss = None
         if self.newest_ns is not None:
             rhythm, interval_s = self._rhythm, seconds(stamp_ns - self.newest_ns)
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
-            if rhythm.loses(interval_s):
-                loss = self._loss(voltage_v)
+            has_loss = rhythm.loses((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND)
+            if has_loss is not False and np.any(has_loss):
+                loss = self._loss(voltage_v, has_loss)
             rhythm.update(interval_s)
         self.newest_ns = stamp_ns
+        told_ns = stamp_ns if is_missing is None else np.where(is_missing, self._told_ns, stamp_ns)
+        self._told_ns = told_ns
         self._newest_voltages.append(voltage_v)
         self._future_voltages.append((stamp_ns, voltage_v, pause, loss))
         if (
@@ -130,13 +140,12 @@ class HeldVoltage:
         ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
-    def _loss(self, voltage_v: Any) -> _Loss | None:
+    def _loss(self, voltage_v: Any, has_loss: Any) -> _Loss | None:
         """Return what a voltage that comes after lost samples makes of these; None: nothing."""
         moves_v = np.abs(np.diff([*self._newest_voltages, voltage_v], axis=0))
         moves_v[np.isnan(moves_v)] = 0.0
-        is_far = moves_v[-1] > FAR * moves_v[:-1].mean(axis=0)
-        assert self.newest_ns is not None
-        since_ns = self.newest_ns + nanoseconds(DUE * self._rhythm.usual_s)
+        is_far = has_loss & (moves_v[-1] > FAR * moves_v[:-1].mean(axis=0))
+        since_ns = self._told_ns + nanoseconds(DUE * self._rhythm.usual_s)
         return _Loss(since_ns, is_far) if np.any(is_far) else None
 
     def _hold_next(self) -> None:
@@ -151,8 +160,9 @@ class HeldVoltage:
         """
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
         for since_ns, voltage_v, _, loss in self._future_voltages:
-            if loss is not None and loss.since_ns < end_ns and since_ns > start_ns:
-                held_v = np.where(loss.is_far, math.nan, held_v)
+            if loss is not None and since_ns > start_ns:
+                is_lost = loss.is_far & (loss.since_ns < end_ns)
+                held_v = np.where(is_lost, math.nan, held_v)
             if since_ns >= end_ns:
                 break
             if since_ns > cursor_ns:

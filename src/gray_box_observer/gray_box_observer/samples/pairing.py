@@ -268,7 +268,9 @@ class Pairing:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        self._voltages.update(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
+        filled_v = self._joining.filled(stamp_ns, voltage_v, self._voltages)
+        is_missing = None if filled_v is voltage_v else np.isnan(voltage_v)
+        self._voltages.update(stamp_ns, filled_v, is_missing)
         return samples + self._complete(self._known_ns()) if self._torques else samples
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
@@ -354,7 +356,7 @@ class Pairing:
         if voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm) is not None:
             return None
         mean_v = voltages.mean(start_ns, stamp_ns)
-        if np.isnan(mean_v).all():
+        if self.motors == 1 and math.isnan(mean_v):  # of a group each is looked at by itself
             return None
         return self._joining.ahead(stamp_ns - start_ns, mean_v, self._gap_ns)
 

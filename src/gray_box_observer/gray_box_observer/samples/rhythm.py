@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 LATE = 1.75
 """Intervals beyond this many usual ones have lost something; a jitter of half an interval has not.
@@ -59,12 +60,14 @@ class Rhythm:
         """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
 
-    def loses(self, interval_s: float) -> bool:
-        """Tell whether a periodic signal has lost samples in an interval in s, short of silence."""
-        return (
-            LATE * self.usual_s < interval_s <= self.silence_s < math.inf
-            and self._late_share < MOSTLY
-        )
+    def loses(self, interval_s: Any) -> Any:
+        """Tell whether a periodic signal has lost samples in an interval in s, short of silence.
+
+        Of an array of intervals the answer is an array, unless none can have.
+        """
+        if self._late_share >= MOSTLY or math.isinf(self.silence_s):
+            return False
+        return (interval_s > LATE * self.usual_s) & (interval_s <= self.silence_s)
 
     def update(self, interval_s: float) -> None:
         """Take one sample's interval since the one before, in s; 0 at the start of a history."""
