@@ -3,8 +3,8 @@
 It is Kt i, as in the thesis, or the state of a rotor. Where the fit test rejects the form in force,
 the other one is fitted to what is remembered, as a trial beside the estimate that is out
 (`form_trial.py`). Trials come at counts of samples, ever further apart, and are done piece by piece
-at the samples that follow, so that every door leads to the same choice (docs/METHOD.md, Which
-speed).
+at the samples that follow, so that every door leads to the same choice
+(docs/METHOD.md, Which speed).
 """
 
 from __future__ import annotations
