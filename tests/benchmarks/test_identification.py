@@ -19,7 +19,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, str(PROGRAM), *arguments]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+        command, capture_output=True, text=True, timeout=600, env=environment, check=False
     )
 
 

@@ -104,7 +104,7 @@ def test_a_folder_without_measurements_is_one_clear_line(tmp_path: Path, folder:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, '--data', tmp_path / folder]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+        command, capture_output=True, text=True, timeout=600, env=environment, check=False
     )
     assert done.returncode == 2
     assert done.stderr.startswith(
@@ -136,7 +136,7 @@ def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> N
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, '--data', tmp_path, '--quick']
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+        command, capture_output=True, text=True, timeout=600, env=environment, check=False
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])

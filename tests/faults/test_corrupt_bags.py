@@ -17,7 +17,7 @@ def test_damaged_bags_end_in_a_clear_line_or_in_a_partial_read_that_says_what_wa
         '--cases',
         str(CASES),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])
     assert all(figure['met'] for figure in result['figures'])

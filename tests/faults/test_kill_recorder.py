@@ -17,7 +17,7 @@ def test_a_killed_recorder_leaves_bags_that_everybody_reads_without_a_gap(peer) 
     command = [sys.executable, str(Path(__file__).with_name('kill_recorder.py')), '--times', '2']
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(peer.domain)}
     done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=240, check=False
+        command, env=environment, capture_output=True, text=True, timeout=600, check=False
     )
     assert done.stdout, done.stderr
     figures = {

@@ -17,7 +17,7 @@ def test_damaged_parameters_truths_and_metadata_end_in_a_clear_line_or_in_finite
         '--cases',
         str(CASES),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     result = json.loads(done.stdout.splitlines()[-1])
     assert result['figures'][0]['value'] == 0, done.stderr
     outcomes = result['outcomes']

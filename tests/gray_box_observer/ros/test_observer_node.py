@@ -621,7 +621,7 @@ def test_a_signal_ends_the_node_soon_and_its_training_process_too(rig, training,
     rig.wait_until_gone(child)
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
     child = training()
     assert rig.peer.end(rig.process, signal.SIGKILL)[0] == -signal.SIGKILL

@@ -32,7 +32,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_an_existing_cluster_is_used_and_left_running(
     identify: Run, archive: Path, params: Path, tmp_path: Path, scheduler: str
 ) -> None:

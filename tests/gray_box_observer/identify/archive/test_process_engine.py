@@ -65,7 +65,7 @@ def doors(kind: str) -> set[tuple[int, object]]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 @pytest.mark.parametrize('engine', ['processes', 'dask'])
 def test_processes_give_the_table_of_a_serial_run_and_leave_nothing_behind(
     engine: str, identify: Run, archive: Path, params: Path, tmp_path: Path
@@ -80,7 +80,7 @@ def test_processes_give_the_table_of_a_serial_run_and_leave_nothing_behind(
     assert workers() == before
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_nobody_can_connect_to_a_run_for_no_process_of_it_opens_an_address(
     work: ModuleType,
 ) -> None:
@@ -95,7 +95,7 @@ def test_nobody_can_connect_to_a_run_for_no_process_of_it_opens_an_address(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, params: Path) -> None:
     bag_work = BagWork(read_parameter_file(params))
     bags = sorted(archive.glob('2026-*/bag')) * 2
@@ -111,7 +111,7 @@ def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, para
     assert all(result.error is None for result in results.values())
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_workers_leave_an_interruption_to_the_command(work: ModuleType) -> None:
     before = workers()
     digests = []
@@ -127,7 +127,7 @@ def test_workers_leave_an_interruption_to_the_command(work: ModuleType) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_a_bag_that_kills_every_worker_has_a_row_and_takes_no_other_with_it(
     work: ModuleType,
 ) -> None:
@@ -140,7 +140,7 @@ def test_a_bag_that_kills_every_worker_has_a_row_and_takes_no_other_with_it(
     assert 'its worker process died again and again' in (results[3].error or '')
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_a_run_that_is_given_up_ends_its_workers(work: ModuleType) -> None:
     before = workers()
     results = ProcessEngine(workers=1).run(
@@ -152,7 +152,7 @@ def test_a_run_that_is_given_up_ends_its_workers(work: ModuleType) -> None:
     assert workers() == before
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_workers_keep_what_a_bag_has_freed_and_this_process_stays_as_it_was(
     work: ModuleType,
 ) -> None:
@@ -163,7 +163,7 @@ def test_workers_keep_what_a_bag_has_freed_and_this_process_stays_as_it_was(
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_what_cannot_be_sent_to_a_worker_is_told_in_its_row() -> None:
     [(_, result)] = ProcessEngine(workers=1).run(
         lambda bag: BagResult(str(bag)), [Path('/archive/0')]

@@ -55,7 +55,7 @@ def samples(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 @pytest.mark.parametrize('variant', [Variant.MAIN, Variant.PHYSICS])
 def test_a_process_of_its_own_trains_the_same_weights(
     thesis_box: MotorWhiteBox, samples: list[Sample], variant: Variant
@@ -90,7 +90,7 @@ def test_a_process_of_its_own_trains_the_same_weights(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteBox) -> None:
     process = ProcessTraining({**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}})
     try:
@@ -107,7 +107,7 @@ def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteB
         process.close()
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhiteBox) -> None:
     before = set(psutil.Process().children())
     process = ProcessTraining(configuration(thesis_box, SMALL))
@@ -120,7 +120,7 @@ def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhi
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(660)
 def test_training_rests_until_its_share_of_a_core_is_kept(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
