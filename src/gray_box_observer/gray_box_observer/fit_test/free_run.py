@@ -2,7 +2,7 @@
 
 The free run goes from voltage (and measured speed) alone; no measured current corrects it on the
 way. Where it begins anew, its first state is known by one noisy reading. The samples that follow
-correct it, ever less, as a Kalman filter of the state alone would.
+correct it, ever less, as a Kalman filter of the state alone would; outliers do not.
 
 Every effect that the white box leaves out is a small voltage of a known shape or a small change of
 the reading. Its influence on the free run follows from the same linearised intervals as that of the
@@ -43,6 +43,9 @@ MAX_KICKS = 0.05
 
 CREDIBLE = 20.0
 """Times the largest reading: nothing is linearised about a state beyond."""
+
+OUTLIER = 6.0
+"""Standard deviations beyond which a reading corrects no state after a restart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +103,10 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     limit = CREDIBLE * np.abs(stretch.state).max() + 1e-9
     about = stretch.state
     start = stretch.state[:, 0]
+    without_correction = np.zeros_like(stretch.state)
     for attempt in range(PASSES):
         maps = linearise(white_box, p, stretch, np.clip(about, -limit, limit))
-        loose = restart_variance(maps.decay, stretch.restart)
-        path = follow(maps, stretch, start, taken_over(loose))
+        path = follow(maps, stretch, start, without_correction)
         residual = stretch.state - path.state
         kicks = _kicks(path, residual, stretch) if attempt == 0 else None
         if kicks is not None:
@@ -116,6 +119,13 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
         if kicks is None and is_near:
             break
     residual = stretch.state - about
+    loose = restart_variance(maps.decay, stretch.restart)
+    if stretch.restart.any():
+        noise_a = robust_std(residual, np.isfinite(residual))
+        is_outlier = np.abs(residual) > OUTLIER * noise_a[:, None]
+        path = follow(maps, stretch, start, np.where(is_outlier, 0.0, taken_over(loose)))
+        residual = stretch.state - path.state
+        about = path.state
     jacobian = np.column_stack([path.by_start[0], (path.by_coordinate[:, 0] * p[0][:, None]).T])
     decay = maps.decay[0]
     rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
