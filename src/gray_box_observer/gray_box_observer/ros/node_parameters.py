@@ -49,7 +49,7 @@ def declare(node: Node) -> Configuration:
         ]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
     # as it was understood
-    node.declare_parameters('', declarations, ignore_override=True)
+    node.declare_parameters('', list(declarations), ignore_override=True)
     settle(node, configuration.unknown, configuration.alike)
     return configuration
 

@@ -119,7 +119,7 @@ def run_node(
     args: Sequence[str] | None = None,
     *,
     name: str,
-    executor_factory: Callable[[], Executor] = make_executor,
+    executor_factory: Callable[[], Any] = make_executor,
     tells_range: bool = True,
 ) -> int:
     """Run one node until it is asked to end; the result is the exit code of the process.
@@ -175,7 +175,7 @@ def _check_parameter_files(args: Sequence[str]) -> None:
             read_yaml(Path(value))
 
 
-def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> None:
+def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> None:
     """Serve the node's callbacks until the end is asked for, then let it finish its work."""
     executor = executor_factory()
     executor.add_node(node)

@@ -188,7 +188,11 @@ class BagRecorder(Node):
 
         try:
             subscription = self.create_subscription(
-                message_class(type_name), name, on_bytes, profile, raw=True
+                message_class(type_name),
+                name,
+                on_bytes,
+                profile,
+                raw=True,  # type: ignore[arg-type]
             )
         except (NoTypeSupportImportedException, ImportError, AttributeError, RuntimeError) as error:
             self._refuse(name, f'cannot be subscribed to: {error}')

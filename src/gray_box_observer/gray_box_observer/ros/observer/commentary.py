@@ -186,11 +186,9 @@ class Commentary:
         )
         if len(changes) > MOST_DESCRIBED:
             identified_count = sum(estimate.identified(0) for _, estimate, _ in changes)
-            names = _motors_in_words([name for name, _, _ in changes])
-            return [
-                f'verdicts changed of {names}: every parameter identified of {identified_count} of '
-                'these'
-            ], doubtful
+            motors = _motors_in_words([name for name, _, _ in changes])
+            count = f'every parameter identified of {identified_count} of these'
+            return [f'verdicts changed of {motors}: {count}'], doubtful
         return [
             f'{name}: {_described(estimate, places)}' for name, estimate, places in changes
         ], doubtful

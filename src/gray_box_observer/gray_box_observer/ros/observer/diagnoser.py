@@ -85,7 +85,7 @@ class Diagnoser:
                 self._keeper.failure,
                 self._keeper.age_s,
                 now.nanoseconds,
-                is_simulated=clock.ros_time_is_active,
+                is_simulated=clock.ros_time_is_active,  # type: ignore[attr-defined]
                 has_namesake=has_namesake,
             )
             array.status = [_contained_status(motor, situation) for motor in self._next()]

@@ -218,7 +218,9 @@ class Inputs:
         clock = self._node.get_clock()
         # the middleware stamps by the wall clock, which tells nothing of simulated time
         arrival_ns = (
-            clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp']
+            clock.now().nanoseconds
+            if clock.ros_time_is_active  # type: ignore[attr-defined]
+            else info['source_timestamp']
         )
         for name in feed.signals:
             self._ingest(name, message, arrival_ns, feed.topic)
@@ -245,7 +247,7 @@ class Inputs:
     def _clock_in_words(self) -> str:
         return (
             '/clock, when it arrives'
-            if self._node.get_clock().ros_time_is_active
+            if self._node.get_clock().ros_time_is_active  # type: ignore[attr-defined]
             else 'the middleware'
         )
 

@@ -82,7 +82,7 @@ class Outputs:
     def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False) -> Publish:
         publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name, topic.qos)
         if active:
-            publisher.on_activate(None)
+            publisher.on_activate(None)  # type: ignore[attr-defined]
         publish: Publish = publisher.publish
         return publish
 
@@ -194,7 +194,8 @@ class Outputs:
             group_estimates: names and estimates of those that have been seen; NOTHING stands for
                 the others, and for what is not finite.
         """
-        rows, columns = {name: row for row, name in enumerate(motors)}, {}
+        rows = {name: row for row, name in enumerate(motors)}
+        columns: dict[str, int] = {}
         for _, estimate in group_estimates:
             for parameter in estimate.parameters:
                 columns.setdefault(parameter.name, len(columns))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 KINDS = ('voltage', 'torque', 'predicted', 'speed')
 """Signals of one motor: in V, N m, N m and rad/s."""
@@ -49,7 +49,7 @@ class SignalCourses:
         self._origin_ns: int | None = None
 
     def add(
-        self, source: str, kind: str, names: Sequence[str], values: Sequence[float], stamp_ns: int
+        self, source: str, kind: str, names: Sequence[str], values: Iterable[float], stamp_ns: int
     ) -> None:
         """Add one value for each motor.
 
