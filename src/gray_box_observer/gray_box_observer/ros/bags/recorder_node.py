@@ -190,9 +190,9 @@ class BagRecorder(Node):
             subscription = self.create_subscription(
                 message_class(type_name),
                 name,
-                on_bytes,
+                on_bytes,  # type: ignore[arg-type]
                 profile,
-                raw=True,  # type: ignore[arg-type]
+                raw=True,
             )
         except (NoTypeSupportImportedException, ImportError, AttributeError, RuntimeError) as error:
             self._refuse(name, f'cannot be subscribed to: {error}')
