@@ -281,7 +281,7 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
     Returns:
         Shape (motor,).
     """
-    around = np.pad(voltage_v, ((0, 0), (1, 1)), mode='edge')
+    around = np.concatenate([voltage_v[:, :1], voltage_v, voltage_v[:, -1:]], axis=1)
     lasting_v = np.median(np.stack([around[:, :-2], voltage_v, around[:, 2:]]), axis=0)
     change_v = np.abs(np.diff(lasting_v, axis=1, prepend=lasting_v[:, :1]))
     moves = change_v > MOVE * np.ptp(lasting_v, axis=1, keepdims=True)
@@ -293,10 +293,12 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
 
 def _shifted(values: Array, by: int) -> Array:
     """Values (motor, k) shifted in time; 0 before the first, infinite after the last."""
-    k = values.shape[1]
+    shifted = np.full(values.shape, np.inf if by < 0 else 0.0)
     if by < 0:
-        return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
-    return np.pad(values, ((0, 0), (by, 0)))[:, :k]
+        shifted[:, :by] = values[:, -by:]
+    else:
+        shifted[:, by:] = values[:, : values.shape[1] - by]
+    return shifted
 
 
 def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
