@@ -20,8 +20,9 @@ from scipy.stats import chi2
 
 from gray_box_observer.context_nodes.measured_speed import output_fit
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test import FitVerdict, residual_analysis
-from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.policy import (
     FEW_PERIODS,
     RATIO_SPREAD,
@@ -98,18 +99,45 @@ def test_a_warning_by_whiteness_is_rarer_than_a_motor_is_tested(whiteness, verdi
     assert false_rate < 1e-3 / 500_000
 
 
+SLOW_INDUCTANCE_H = 0.4
+SLOW = np.array([[1.0 / SLOW_INDUCTANCE_H, RESISTANCE_OHM / SLOW_INDUCTANCE_H]])
+"""A motor whose current forgets an error in 200 samples."""
+
+
+def _restarts(every: int, odd_readings_a: dict[int, float]) -> SampleWindow:
+    """Return a run of the slow motor that begins anew many times, some readings behind that odd."""
+    voltage_v = steps(SAMPLES, 1)
+    current_a = current_of(voltage_v, SLOW_INDUCTANCE_H) + noise(SAMPLES, STD_A, 60)
+    for behind, error_a in odd_readings_a.items():
+        current_a[every + behind :: every] += error_a
+    whole = Record(voltage_v, current_a).stretch
+    return whole.restarted(np.arange(SAMPLES - 1)[None] % every == every - 1)
+
+
 @pytest.mark.parametrize('every', [100, 500])
 def test_a_run_that_begins_anew_many_times_leaves_a_white_residual(every: int) -> None:
     """The noise of one reading would last for 200 samples, behind each restart anew."""
-    inductance_h = 0.4
-    voltage_v = steps(SAMPLES, 1)
-    current_a = current_of(voltage_v, inductance_h) + noise(SAMPLES, STD_A, 60)
-    whole = Record(voltage_v, current_a).stretch
-    stretch = whole.restarted(np.arange(SAMPLES - 1)[None] % every == every - 1)
-    p = np.array([[1.0 / inductance_h, RESISTANCE_OHM / inductance_h]])
-    analysis = analyse(WHITE_BOX, p, stretch)
+    analysis = analyse(WHITE_BOX, SLOW, _restarts(every, {}))
     assert analysis.whiteness < 2.0
     assert analysis.ratio == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize('odd_readings_a', [{0: 8.0 * STD_A}, {20: 5.0}, {3: -5.0, 40: 5.0}])
+def test_odd_readings_behind_a_restart_colour_no_residual(odd_readings_a: dict[int, float]) -> None:
+    """The first reading is corrected by those that follow; later ones correct nothing."""
+    assert analyse(WHITE_BOX, SLOW, _restarts(1000, odd_readings_a)).whiteness < 3.0
+
+
+def test_a_run_that_begins_anew_answers_a_voltage_as_its_readings_let_it() -> None:
+    stretch = _restarts(500, {})
+    run = free_run(WHITE_BOX, SLOW, stretch)
+    further_v = np.sin(0.02 * np.arange(SAMPLES - 1))
+    response_a = run.response(further_v[None])[0]
+    moved = free_run(WHITE_BOX, SLOW, replace(stretch, voltage_v=stretch.voltage_v + further_v))
+    settled = slice(500, None)  # the first state is fitted to the whole run
+    change_a = moved.current_a - run.current_a
+    np.testing.assert_allclose(change_a[settled], response_a[settled], atol=2e-3)
+    assert np.abs(response_a[settled]).max() > 0.1
 
 
 def test_a_speed_that_a_fit_gives_is_not_tested_more_strictly_than_it_is_believed() -> None:

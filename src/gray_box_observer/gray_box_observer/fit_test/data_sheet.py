@@ -92,7 +92,7 @@ def doubt_of_data_sheet(
     """
     findings = [
         finding
-        for finding in _findings(motor, estimate) or _findings_of_balance(motor, balance)
+        for finding in _all_findings(motor, estimate, balance)
         if finding.is_sheet
         and finding.away > STDS_FROM_SHEET
         and abs(finding.log_ratio) > math.log(FAR_FROM_SHEET)
@@ -130,6 +130,15 @@ class _Finding:
     def away(self) -> float:
         """Distance in standard deviations."""
         return abs(self.log_ratio) / self.spread
+
+
+def _all_findings(
+    motor: MotorConfiguration, estimate: Estimate, balance: BackEmfFit | None
+) -> list[_Finding]:
+    """Return what lies far from what was given; R by the balance where it is not identified."""
+    findings = _findings(motor, estimate)
+    is_known = any(finding.name == 'resistance' for finding in findings)
+    return findings if is_known else [*findings, *_findings_of_balance(motor, balance)]
 
 
 def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:

@@ -2,7 +2,7 @@
 
 The free run goes from voltage (and measured speed) alone; no measured current corrects it on the
 way. Where it begins anew, its first state is known by one noisy reading. The samples that follow
-correct it, ever less, as a Kalman filter of the state alone would; outliers do not.
+correct it, ever less, as a Kalman filter of the state alone would; single outliers do not.
 
 Every effect that the white box leaves out is a small voltage of a known shape or a small change of
 the reading. Its influence on the free run follows from the same linearised intervals as that of the
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import robust_std
 from gray_box_observer.context_nodes.recursive.trajectory import (
+    Linearised,
     SampleWindow,
     Trajectory,
     find_kicks,
@@ -121,9 +122,7 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     residual = stretch.state - about
     loose = restart_variance(maps.decay, stretch.restart)
     if stretch.restart.any():
-        noise_a = robust_std(residual, np.isfinite(residual))
-        is_outlier = np.abs(residual) > OUTLIER * noise_a[:, None]
-        path = follow(maps, stretch, start, np.where(is_outlier, 0.0, taken_over(loose)))
+        path = _corrected(maps, stretch, start, taken_over(loose), residual)
         residual = stretch.state - path.state
         about = path.state
     jacobian = np.column_stack([path.by_start[0], (path.by_coordinate[:, 0] * p[0][:, None]).T])
@@ -141,6 +140,35 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
         reach,
         weight,
     )
+
+
+def _corrected(
+    maps: Linearised, stretch: SampleWindow, start: Array, gain: Array, residual: Array
+) -> Trajectory:
+    """Run on where readings correct the state after restarts.
+
+    Either all do, or all but those that lie far from the run without corrections. The first is
+    right where a run begins at an odd reading: every later one is then far from it. The second is
+    right where an odd reading follows. What leaves the smaller residuals, outliers cut, is taken.
+
+    Args:
+        maps: the linearised intervals.
+        stretch: the samples.
+        start: shape (motor,): first state.
+        gain: shape (motor, k + 1): share of a reading's error that the state takes over.
+        residual: shape (motor, k + 1): measured less predicted state without corrections.
+    """
+    limit_a = OUTLIER * robust_std(residual, np.isfinite(residual))[:, None]
+    by_all = follow(maps, stretch, start, gain)
+    is_near = np.abs(residual) <= limit_a
+    if is_near.all():
+        return by_all
+    by_near = follow(maps, stretch, start, np.where(is_near, gain, 0.0))
+    sizes = [
+        float((np.clip(stretch.state - path.state, -limit_a, limit_a) ** 2).sum())
+        for path in (by_all, by_near)
+    ]
+    return by_all if sizes[0] <= sizes[1] else by_near
 
 
 def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[np.bool_] | None:

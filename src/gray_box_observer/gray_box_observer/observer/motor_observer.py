@@ -306,7 +306,7 @@ class MotorObserver:
     def retested(self) -> dict[int, bool]:
         """Return whose fit was tested since the last call, and whether their belief has changed.
 
-        ParameterBelief that has not gone out yet does not count as changed.
+        A belief that has not gone out yet does not count as changed.
         """
         self.run_deferred()
         retests, self._retests = self._retests, {}

@@ -28,6 +28,9 @@ MAX_WAITING_VOLTAGES = 10_000
 FAR = 5.0
 """Usual moves from one voltage to the next that are far: so far it moves, if ever, at steps."""
 
+LEAST_MOVE = 0.01
+"""Share of the largest voltage by which it must have moved, however still it was."""
+
 USUAL = 50
 """Newest voltages whose moves are the usual ones."""
 
@@ -142,9 +145,11 @@ class HeldVoltage:
 
     def _loss(self, voltage_v: Any, has_loss: Any) -> _Loss | None:
         """Return what a voltage that comes after lost samples makes of these; None: nothing."""
-        moves_v = np.abs(np.diff([*self._newest_voltages, voltage_v], axis=0))
+        voltages_v = np.array([*self._newest_voltages, voltage_v])
+        moves_v = np.abs(np.diff(voltages_v, axis=0))
         moves_v[np.isnan(moves_v)] = 0.0
-        is_far = has_loss & (moves_v[-1] > FAR * moves_v[:-1].mean(axis=0))
+        least_v = LEAST_MOVE * np.nan_to_num(np.abs(voltages_v)).max(axis=0)
+        is_far = has_loss & (moves_v[-1] > np.maximum(FAR * moves_v[:-1].mean(axis=0), least_v))
         since_ns = self._told_ns + nanoseconds(DUE * self._rhythm.usual_s)
         return _Loss(since_ns, is_far) if np.any(is_far) else None
 
