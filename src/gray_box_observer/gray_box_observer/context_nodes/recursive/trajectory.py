@@ -292,13 +292,13 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
 
 
 def _shifted(values: Array, by: int) -> Array:
-    """Values (motor, k) shifted in time; 0 before the first, infinite after the last."""
-    shifted = np.full(values.shape, np.inf if by < 0 else 0.0)
+    """Values (motor, k) result in time; 0 before the first, infinite after the last."""
+    result = np.full(values.shape, np.inf if by < 0 else 0.0)
     if by < 0:
-        shifted[:, :by] = values[:, -by:]
+        result[:, :by] = values[:, -by:]
     else:
-        shifted[:, by:] = values[:, : values.shape[1] - by]
-    return shifted
+        result[:, by:] = values[:, : values.shape[1] - by]
+    return result
 
 
 def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
