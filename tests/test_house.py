@@ -22,8 +22,8 @@ PARTICIPLE = re.compile(
     'written'
 )
 NOUN = re.compile(
-    'coupling|damping|drawing|encoding|ending|feed|finding|forecasting|grouping|heading|joining|listing|mapping|'
-    'meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|training|'
+    'coupling|damping|drawing|encoding|ending|feed|finding|forecasting|grouping|heading|joining|'
+    'listing|mapping|meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|training|'
     'warning|winding|writing'
 )
 """Nouns that look like participles."""

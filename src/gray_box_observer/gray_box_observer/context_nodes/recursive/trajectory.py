@@ -292,7 +292,7 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
 
 
 def _shifted(values: Array, by: int) -> Array:
-    """Values (motor, k) result in time; 0 before the first, infinite after the last."""
+    """Values (motor, k) shifted in time; 0 before the first, infinite after the last."""
     result = np.full(values.shape, np.inf if by < 0 else 0.0)
     if by < 0:
         result[:, :by] = values[:, -by:]
