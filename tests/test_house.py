@@ -23,7 +23,8 @@ PARTICIPLE = re.compile(
 )
 NOUN = re.compile(
     'coupling|damping|drawing|encoding|ending|feed|finding|forecasting|grouping|heading|joining|'
-    'listing|mapping|meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|training|'
+    'listing|mapping|meaning|nothing|pairing|reading|recording|scaling|seed|spacing|speed|string|'
+    'training|'
     'warning|winding|writing'
 )
 """Nouns that look like participles."""

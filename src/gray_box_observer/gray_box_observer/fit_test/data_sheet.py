@@ -137,7 +137,7 @@ def _all_findings(
 ) -> list[_Finding]:
     """Return what lies far from what was given; R by the balance where it is not identified."""
     findings = _findings(motor, estimate)
-    is_known = any(finding.name == 'resistance' for finding in findings)
+    is_known = any(finding.name == RESISTANCE for finding in findings)
     return findings if is_known else [*findings, *_findings_of_balance(motor, balance)]
 
 

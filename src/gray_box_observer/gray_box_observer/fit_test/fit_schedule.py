@@ -60,9 +60,7 @@ class FitSchedule:
         self._has_passed = np.zeros(count, dtype=bool)
         self._movers: frozenset[int] = frozenset()
 
-    def due(
-        self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]
-    ) -> list[int]:  # fmt: skip
+    def due(self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
         """Return which of some motors are to be tested now.
 
         Args:

@@ -25,12 +25,7 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.observer.motor_form import (
-    MEASURED,
-    ROTOR,
-    THESIS,
-    MotorForm,
-)
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, MotorForm
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.scale_doubt import scale_doubt
 from gray_box_observer.observer.speed_choice import SpeedChoice

@@ -191,15 +191,7 @@ class Observer:
 
     def results(self, result: GroupResult) -> list[Result]:
         """Return a sample's results motor by motor; nothing where the group has stopped since."""
-        if result.group.is_stopped:
-            return []
-        try:
-            return result.motor_results()
-        except ConfigurationError:
-            raise
-        except Exception as error:
-            self.stop(result.group, error)
-            return []
+        return self.contain(result.group, result.motor_results) or []
 
     def contain(
         self, group: Group, action: Callable[[], T], samples: Sequence[Sample] = ()
