@@ -25,6 +25,7 @@ def test_a_bag_ends_with_its_last_table(capsys: pytest.CaptureFixture[str]) -> N
         (['--params', 'x.yaml'], '--params is for a BAG'),
         (['--period', '0'], '--period must be'),
         (['--period', 'soon'], 'is no number'),
+        (['--timeout', '0'], '--timeout must be'),
         (['--motors', '0'], '--motors must be'),
         (['bag', '--rate', '-1'], '--rate must be'),
         (['bag', '--ros-args', '-p', 'x:=1'], 'is for live topics'),

@@ -35,7 +35,9 @@ def test_it_shows_the_observers_that_run_and_ends_quietly(
     recording = record(duration_s=4.0)
     rigs[0].send(recording, range(400))
     peer.wait(lambda: used(rigs[0]) == '400', 'the samples to be used', timeout_s=60)
-    code, out, err = peer.end(peer.start(MODULE, '--once'), None)
+    names = [f'{rig.namespace}/gray_box_observer' for rig in rigs]
+    named = [word for name in names for word in ('--observer', name)]
+    code, out, err = peer.end(peer.start(MODULE, '--once', '--timeout', '110', *named), None)
     assert (code, err) == (0, '')
     assert '/r1/gray_box_observer  1 motor' in out
     assert '400 used' in out

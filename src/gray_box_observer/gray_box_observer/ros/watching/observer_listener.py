@@ -43,6 +43,7 @@ class ObserverListener:
         state: where it goes.
         observers: names of the only ones to listen to; none for all.
         clock: seconds, as the state counts them.
+        look_round_s: between two looks at the graph, once an observer was heard.
     """
 
     def __init__(
@@ -51,10 +52,12 @@ class ObserverListener:
         state: WatchedState,
         observers: Sequence[str],
         clock: Callable[[], float],
+        look_round_s: float = LOOK_ROUND_LATER_S,
     ) -> None:
         self._node = node
         self._state = state
         self._clock = clock
+        self._look_round_s = look_round_s
         self._observer_names = frozenset(observers)
         self._estimates: dict[str, Subscription] = {}
         self._diagnostics = node.create_subscription(
@@ -69,7 +72,7 @@ class ObserverListener:
         now_s = self._clock()
         if now_s >= self._next_look_s:
             self._discover()
-            pause_s = LOOK_ROUND_LATER_S if self._state.observers else LOOK_ROUND_S
+            pause_s = self._look_round_s if self._state.observers else LOOK_ROUND_S
             self._next_look_s = now_s + pause_s
         for observer, subscription in self._estimates.items():
             for message in taken(subscription):
@@ -77,6 +80,11 @@ class ObserverListener:
                 self._state.add_estimates(observer, labels, message.data, now_s)
         for message in taken(self._diagnostics):
             self._add_diagnostics(message, now_s)
+
+    def has_heard_all(self) -> bool:
+        """Whether every observer was heard that was asked for, or of which the graph tells."""
+        heard = self._state.observers.keys()
+        return bool(heard) and heard >= self._estimates.keys()
 
     def _discover(self) -> None:
         if self._observer_names:

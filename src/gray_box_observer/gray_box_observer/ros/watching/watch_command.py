@@ -11,6 +11,7 @@ from pathlib import Path
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.watching.observer_state import SILENT_S
 
 EXIT_DONE = 0
 EXIT_USER_ERROR = 2
@@ -57,6 +58,14 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--once', action='store_true', help='show the first complete table and end')
     parser.add_argument(
+        '--timeout',
+        type=parse_float,
+        default=SILENT_S,
+        metavar='S',
+        help='with --once, show what was heard after so long at the latest '
+        f'(default {SILENT_S:g}); exit code 2 where that is nothing',
+    )
+    parser.add_argument(
         '-r',
         '--rate',
         type=parse_float,
@@ -85,7 +94,12 @@ def main(args: Sequence[str] | None = None) -> int:
             from gray_box_observer.ros.watching.watch_node import watch_live
 
             return watch_live(
-                [words[0], *of_ros], observers, options.period, options.motors, once=options.once
+                [words[0], *of_ros],
+                observers,
+                options.period,
+                options.motors,
+                once=options.once,
+                timeout_s=options.timeout,
             )
         _watch_bag(options, tuple(observers))
     except GrayBoxError as error:
@@ -114,6 +128,8 @@ def _check(
     """Refuse what does not go together; exits with code 2."""
     if not 0.05 <= options.period <= 1e6:
         parser.error('--period must be from 0.05 to 1e6 seconds')
+    if not 0.1 <= options.timeout <= 1e6:
+        parser.error('--timeout must be from 0.1 to 1e6 seconds')
     if not 1 <= options.motors <= 100_000:
         parser.error('--motors must be from 1 to 100000')
     if options.bag is None:

@@ -11,7 +11,11 @@ from rclpy.node import Node
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.ros.running import Stop, run_node
-from gray_box_observer.ros.watching.observer_listener import ObserverListener
+from gray_box_observer.ros.watching.observer_listener import (
+    LOOK_ROUND_LATER_S,
+    LOOK_ROUND_S,
+    ObserverListener,
+)
 from gray_box_observer.ros.watching.polling_executor import WITHOUT_SERVICES, PollingExecutor
 from gray_box_observer.watching.motor_table import is_complete
 from gray_box_observer.watching.observer_state import SILENT_S, WatchedState
@@ -33,6 +37,7 @@ class WatchNode(Node):
         observers: names of the only ones to watch; none for all.
         period_s: between two tables.
         once: end with the first table that is complete.
+        timeout_s: with `once`, show what was heard after so long at the latest.
     """
 
     def __init__(
@@ -43,15 +48,20 @@ class WatchNode(Node):
         period_s: float = 1.0,
         *,
         once: bool = False,
+        timeout_s: float = SILENT_S,
     ) -> None:
         super().__init__(NODE_NAME, **WITHOUT_SERVICES)
         self._stop = stop
         self._display = display
         self._period_s = period_s
         self._is_once = once
+        self._timeout_s = timeout_s if once else SILENT_S
         self._observers = observers
         self.state = WatchedState(observers)
-        self._listener = ObserverListener(self, self.state, observers, time.monotonic)
+        look_round_s = LOOK_ROUND_S if once else LOOK_ROUND_LATER_S
+        self._listener = ObserverListener(
+            self, self.state, observers, time.monotonic, look_round_s
+        )
         self._started_s = time.monotonic()
         self._shown_s = -period_s
         self._shown_count = 0
@@ -69,7 +79,7 @@ class WatchNode(Node):
             is_first = not self._shown_count
             if is_first or now_s - self._shown_s >= self._period_s - POLL_S / 2:
                 self._show(now_s)
-        elif now_s - self._started_s > SILENT_S and not self._has_complained:
+        elif now_s - self._started_s > self._timeout_s and not self._has_complained:
             self._has_complained = True
             self._complain()
         return POLL_S
@@ -85,7 +95,7 @@ class WatchNode(Node):
         domain = os.environ.get('ROS_DOMAIN_ID', '0')
         reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
         return (
-            f'no observer heard on {where} for {SILENT_S:.0f} s: is it running, active, and with '
+            f'no observer heard on {where} for {self._timeout_s:g} s: is it running, active, and with '
             f'ROS_DOMAIN_ID={domain} like this (discovery range {reach})?'
         )
 
@@ -101,8 +111,9 @@ class WatchNode(Node):
         count = len(observers) + sum(len(observer.motors) for observer in observers)
         if count != self._known_count:
             self._known_count, self._settled_s = count, now_s + SETTLE_S
-        is_late = now_s - self._started_s > SILENT_S
-        is_settled = is_complete(self.state) and now_s > self._settled_s
+        is_late = now_s - self._started_s > self._timeout_s
+        is_all = self._listener.has_heard_all() and is_complete(self.state)
+        is_settled = is_all and now_s > self._settled_s
         if not is_settled and not is_late:
             return
         if self.state.observers:
@@ -119,7 +130,13 @@ class WatchNode(Node):
 
 
 def watch_live(
-    args: Sequence[str], observers: Sequence[str], period_s: float, most: int, *, once: bool
+    args: Sequence[str],
+    observers: Sequence[str],
+    period_s: float,
+    most: int,
+    *,
+    once: bool,
+    timeout_s: float = SILENT_S,
 ) -> int:
     """Watch live topics until asked to end; the result is the exit code.
 
@@ -129,10 +146,11 @@ def watch_live(
         period_s: Between two tables.
         most: Motors of each observer that are shown.
         once: End with the first complete table.
+        timeout_s: With `once`, wait so long at most for a complete one.
     """
     with TableDisplay(sys.stdout, most, live=not once) as display:
         return run_node(
-            lambda stop: WatchNode(stop, display, observers, period_s, once=once),
+            lambda stop: WatchNode(stop, display, observers, period_s, once=once, timeout_s=timeout_s),
             args,
             name='watch',
             executor_factory=PollingExecutor,
