@@ -296,7 +296,8 @@ def c_forms() -> str:
 
 
 def _case(name: str, effect: Expression) -> list[str]:
-    lines = [f'case {name}:', f'    t.value = {in_c(effect)};']
+    value = f'{float(effect)!r} + 0.0 * {CURRENT}' if effect.is_number else in_c(effect)
+    lines = [f'case {name}:', f'    t.value = {value};']
     for state in COMPILED:
         slope = in_c(derivative(effect, SIGNALS[state]))
         total = in_c(following(effect)) if state is State.CURRENT else slope

@@ -66,9 +66,9 @@ def test_every_term_has_an_initial_value_inside_its_bounds() -> None:
     for name, term in TERMS.items():
         spec = specs[f'initial.{name}']
         assert (spec.default, spec.minimum, spec.maximum) == (
-            term.parameter.initial,
-            term.parameter.lower,
-            term.parameter.upper,
+            term.parameter.initial + term.known_part,
+            term.parameter.lower + term.known_part,
+            term.parameter.upper + term.known_part,
         )
         assert term.parameter.unit in spec.description
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -75,12 +75,32 @@ class Estimate:
 
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
+        if self.verdicts[motor][parameter] is not Verdict.IMPLAUSIBLE:
+            return ''
         p, value = self.parameters[parameter], self.value[motor, parameter]
-        nearer, limit = min(
-            ('lower', p.lower), ('upper', p.upper), key=lambda bound: abs(np.log(value / bound[1]))
+
+        def distance(bound: tuple[str, float]) -> float:
+            return float(abs(value - bound[1]) / (abs(value) + abs(bound[1]) + 1e-300))
+
+        nearer, limit = min(('lower', p.lower), ('upper', p.upper), key=distance)
+        return f'at its {nearer} bound of {limit:g} {p.unit}'
+
+    def with_known_parts(self, parts: Array) -> Estimate:
+        """Return the estimate of whole parameters, of which a part was known.
+
+        Args:
+            parts: shape (parameter,): what was known of each; of further ones nothing.
+        """
+        if not parts.any():
+            return self
+        whole = np.concatenate([parts, np.zeros(len(self.parameters) - parts.size)])
+        parameters = tuple(
+            replace(p, lower=p.lower + part, upper=p.upper + part, initial=p.initial + part)
+            if part
+            else p
+            for p, part in zip(self.parameters, whole.tolist(), strict=True)
         )
-        at = self.verdicts[motor][parameter] is Verdict.IMPLAUSIBLE
-        return f'at its {nearer} bound of {limit:g} {p.unit}' if at else ''
+        return replace(self, parameters=parameters, value=self.value + whole)
 
     def identified(self, motor: int) -> bool:
         """Tell whether every parameter of one motor is identified."""

@@ -141,6 +141,8 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
         'fit_percent': motor.fit_percent(),
         'speed_source': motor.white_box.speed_source,
         'speed_source_reason': motor.speed_reason,
+        'effects': list(motor.added_effects),
+        'effects_reason': motor.effects_reason,
         'predictor': None if skill is None else skill.to_dict(),
         'alarms': None,
         'changes_s': [round(time_s, 6) for time_s in course.changes_s],

@@ -67,6 +67,10 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
         for name, entry in motor[kind].items()
     ]
     lines.append(f'{"speed from":<18} {motor["speed_source"]}: {motor["speed_source_reason"]}')
+    if motor['effects']:
+        lines.append(
+            f'{"effects added":<18} {", ".join(motor["effects"])}: {motor["effects_reason"]}'
+        )
     if 'delay_s' in motor:
         lines.append(_delay_line(motor['delay_s']))
     if motor['alarms'] and motor['alarms']['raised']:

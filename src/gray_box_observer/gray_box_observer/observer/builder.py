@@ -25,10 +25,18 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, MotorForm
+from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice, OpenForms
+from gray_box_observer.observer.motor_form import (
+    EFFECT_NODES,
+    MEASURED,
+    ROTOR,
+    THESIS,
+    FormKind,
+    FormMaker,
+    MotorForm,
+)
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.scale_doubt import scale_doubt
-from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.predictor import (
     AlarmSettings,
     Forecasting,
@@ -56,7 +64,7 @@ def motor_observer(
     training: TrainingFactory | None,
     *,
     speed_measured: bool,
-    has_rotor: bool = False,
+    kind: FormKind | None = None,
 ) -> MotorObserver:
     """Build the observer at the first sample, when it is known whether speed is measured.
 
@@ -65,7 +73,7 @@ def motor_observer(
         motors: of the motors, alike in :func:`kind`.
         training: makes the predictor's trainer; None: no predictor.
         speed_measured: whether the first sample came with speed.
-        has_rotor: whether data have led to a rotor before, where the choice is open.
+        kind: of the form that data have led to before; None: to none.
 
     Raises:
         ConfigurationError: speed has to be measured, and is not.
@@ -79,14 +87,14 @@ def motor_observer(
         )
     uses_speed = speed_measured and source != THESIS
 
-    def make(source: str) -> MotorForm:
-        motor = first.with_rotor() if source == ROTOR else first
-        return _form(configuration, [motor], training, speed_measured=False)
+    def make(kind: FormKind) -> MotorForm:
+        motor = first.with_rotor() if kind.source == ROTOR != source else first
+        motor = motor.with_effects(kind.effects)
+        return _form(configuration, [motor], training, speed_measured=uses_speed)
 
-    choice = _speed_choice(configuration, motors, make, speed_measured=uses_speed)
-    if has_rotor and choice.is_open:
-        choice.source = ROTOR
-        form = make(ROTOR)
+    choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
+    if kind is not None and kind != choice.kind and choice.may_take(kind):
+        form = choice.form_of(kind)
     else:
         form = _form(configuration, motors, training, speed_measured=uses_speed)
     return MotorObserver(form, choice)
@@ -129,23 +137,43 @@ def _form(
     return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales)
 
 
-def _speed_choice(
+def _form_choice(
     configuration: Configuration,
     motors: Sequence[MotorConfiguration],
-    make: Callable[[str], MotorForm],
+    make: FormMaker,
     *,
     speed_measured: bool,
-) -> SpeedChoice:
-    """Say where the speed of motors comes from, and whether data may lead to another source."""
+) -> FormChoice:
+    """Say which form the physics of motors takes, and whether data may lead to another one."""
+    effects, why_none = _open_effects(configuration, motors)
     source = motors[0].values['speed_source']
-    if source != 'auto':
-        return SpeedChoice(source, 'as configured')
-    if speed_measured:
-        return SpeedChoice(MEASURED, 'the first torque sample brought a speed')
-    obstacle = _obstacle(configuration, motors)
-    if obstacle is not None:
-        return SpeedChoice(THESIS, f'a rotor is not tried: {obstacle}')
-    return SpeedChoice(THESIS, 'nothing in the data speaks against a speed of Kt i', make)
+    sources: tuple[str, ...] = (source,)
+    reason = 'as configured'
+    if source == 'auto' and speed_measured:
+        sources, reason = (MEASURED,), 'the first torque sample brought a speed'
+    elif source == 'auto':
+        obstacle = _obstacle(configuration, motors)
+        sources, reason = (THESIS,), f'a rotor is not tried: {obstacle}'
+        if obstacle is None:
+            sources = (THESIS, ROTOR)
+            reason = 'nothing in the data speaks against a speed of Kt i'
+    return FormChoice(sources[0], reason, OpenForms(make, sources, effects), why_none)
+
+
+def _open_effects(
+    configuration: Configuration, motors: Sequence[MotorConfiguration]
+) -> tuple[tuple[str, ...], str]:
+    """Return the effects that data may add to the form of motors, and why there are none."""
+    first = motors[0]
+    if first.values['effects'] != 'auto':
+        return (), 'as configured'
+    if len(motors) > 1:
+        return (), 'none are added: the motor is computed together with others'
+    if configuration['context_update'] != 'recursive':
+        return (), f'none are added: context_update is {configuration["context_update"]}'
+    if first.estimates_delay:
+        return (), 'none are added: the delay is estimated'
+    return tuple(node for node in EFFECT_NODES if not first.has_value(node)), NOTHING_ADDED
 
 
 def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]) -> str | None:
@@ -184,7 +212,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         return None
     values = motor.values
     constants = frozenset(
-        name for name, parameter in KNOWN_PARAMETERS.items() if values[parameter] > 0.0
+        name for name, parameter in KNOWN_PARAMETERS.items() if values[parameter] != 0.0
     )
     limits_v = tuple(values['voltage_limits'])
     return (
@@ -246,8 +274,8 @@ def initial_estimate(configuration: Configuration, motor: MotorConfiguration) ->
     nodes = context_nodes(configuration, [motor], white_box)
     estimate = nodes.estimate()
     if isinstance(nodes, MeasuredSpeedUpdate):
-        return nodes.with_mechanics(estimate, is_believed=True)
-    return estimate
+        estimate = nodes.with_mechanics(estimate, is_believed=True)
+    return estimate.with_known_parts(white_box.known_parts)
 
 
 def pairing_rules(configuration: Configuration) -> PairingSettings:

@@ -1,4 +1,4 @@
-"""The trial of another form of the physics, beside the one in force and on remembered samples.
+"""The trial of other forms of the physics, beside the one in force and on remembered samples.
 
 It is done piece by piece. Nothing is read but what is saved with it, so that a restored trial comes
 to the same end.
@@ -18,8 +18,14 @@ from gray_box_observer.context_nodes.pieces import MOST_PIECES, SAVED, Pieces, W
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.motor_form import IN_WORDS, OTHER, MotorForm
-from gray_box_observer.safe_io.saved_state import LARGEST, LATEST_NS, number_or_none, whole
+from gray_box_observer.observer.motor_form import FormKind, FormMaker, MotorForm
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    LATEST_NS,
+    entry,
+    number_or_none,
+    whole,
+)
 from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -31,8 +37,11 @@ LOOKS = (512, 1024)
 """Newest samples of them that are tried first: what explains not even these is given up at a
 fraction of the cost."""
 
+MOST_CANDIDATES = 3
+"""Forms that one trial compares, at most."""
+
 FEWEST_MOVES = 3
-"""Moves of the voltage from which a rotor can be told."""
+"""Moves of the voltage from which a rotor, or an effect, can be told."""
 
 LARGEST_STD = 0.25
 """Relative standard deviation of inductance, resistance and inertia up to which they are told."""
@@ -65,10 +74,12 @@ class TrialOutcome:
     Attributes:
         form: that the motor goes over to; None: it keeps its own.
         reason: why.
+        kind: of the form.
     """
 
     form: MotorForm | None
     reason: str
+    kind: FormKind | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +87,8 @@ class TrialStart:
     """What a trial begins with.
 
     Attributes:
-        source: where the form in force has its speed from.
+        kind: of the form in force.
+        candidates: the forms that are tried, one after another.
         parameters: how many the form in force has.
         number: of the trial, counted from 1.
         content: shape (signal, 1, n): samples that it rests on.
@@ -84,7 +96,8 @@ class TrialStart:
         before_a: root mean square in A of the residual that the form in force leaves of them.
     """
 
-    source: str
+    kind: FormKind
+    candidates: tuple[FormKind, ...]
     parameters: int
     number: int
     content: Array
@@ -97,7 +110,7 @@ class FormTrial:
 
     Args:
         start: what it begins with.
-        make: makes the form of a motor by the source of its speed.
+        make: makes a form of the motor.
         backlog: samples that have come since, shape (signal,) each.
 
     Attributes:
@@ -109,7 +122,7 @@ class FormTrial:
     def __init__(
         self,
         start: TrialStart,
-        make: Callable[[str], MotorForm],
+        make: FormMaker,
         backlog: Sequence[Array] = (),
     ) -> None:
         self._start = start
@@ -150,10 +163,19 @@ class FormTrial:
             form.catch_up(_content(rest), stamp_ns)
 
     def _steps(self) -> Pieces[TrialOutcome]:
-        """Compare the other form, and let it take over what has come since where it is better."""
-        outcome = yield from self._compare()
-        if outcome.form is None:
-            return outcome
+        """Compare every candidate; the first that is better takes over what has come since."""
+        reasons = []
+        for kind in self._start.candidates:
+            outcome = yield from self._compare(kind)
+            if outcome.form is not None:
+                break
+            reasons.append(f'{kind.in_words} {outcome.reason}')
+        else:
+            number = self._start.number
+            times = f'{number} trials' if number > 1 else 'one trial'
+            here = self._start.kind.in_words
+            because = f'{here} does not explain the data; after {times} {", ".join(reasons)}'
+            return TrialOutcome(None, because)
         self.adopted_count = 0
         while len(self.backlog) - self.adopted_count > CATCH_UP:
             part = self.backlog[self.adopted_count : self.adopted_count + CATCH_UP]
@@ -162,31 +184,32 @@ class FormTrial:
             yield WORK_A_CATCH
         return outcome
 
-    def _compare(self) -> Pieces[TrialOutcome]:
-        """Fit the other form; return it where it explains the data clearly better."""
+    def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
+        """Fit another form; return it where it explains the data clearly better."""
         start, content = self._start, self._start.content
         total, before_a = content.shape[2], start.before_a
-        other = self._make(OTHER[start.source])
+        other = self._make(kind)
         for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
             if look > 0 and not other.can_go_on:
-                other = self._make(OTHER[start.source])
+                other = self._make(kind)
             estimate = yield from other.learn_remembered(content[:, :, -count:], start.stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
                 return TrialOutcome(None, self._why_not(fit, estimate))
         left_a = other.residual(content)
         if self._is_better(fit, estimate, left_a, before_a):
-            same = self._make(start.source)  # the form in force may be in the midst of learning
+            same = self._make(start.kind)  # the form in force may be in the midst of learning
             yield from same.learn_remembered(content, start.stamp_ns)
             before_a = min(before_a, same.residual(content))
         if not self._is_better(fit, estimate, left_a, before_a):
             return TrialOutcome(None, self._why_not(fit, estimate))
         return TrialOutcome(
             other,
-            f'{IN_WORDS[OTHER[start.source]]} explains the data: the residual of its free run is '
-            f'{fit.ratio:.3g} times the noise, that of {IN_WORDS[start.source]} '
+            f'{kind.in_words} explains the data: the residual of its free run is '
+            f'{fit.ratio:.3g} times the noise, that of {start.kind.in_words} '
             f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood '
             f'{self._gain(estimate, left_a, before_a):.3g})',
+            kind,
         )
 
     def _is_better(
@@ -214,16 +237,14 @@ class FormTrial:
         cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
         return float(count * math.log(max(before_a, 1e-300) / left_a) - cost)
 
-    def _why_not(self, fit: FitAssessment, estimate: Estimate) -> str:
-        """Say why the other form is not adopted."""
-        source, number = self._start.source, self._start.number
-        times = f'tried {number} times' if number > 1 else 'tried once'
-        begin = f'{IN_WORDS[source]} does not explain the data, and {IN_WORDS[OTHER[source]]}, '
+    @staticmethod
+    def _why_not(fit: FitAssessment, estimate: Estimate) -> str:
+        """Say why another form is not adopted."""
         if fit.verdict is FitVerdict.MISFIT:
-            return f'{begin}{times}, does not either'
+            return 'does not either'
         if fit.verdict is FitVerdict.UNTESTED or not _is_told(estimate):
-            return f'{begin}{times}, cannot be told from them'
-        return f'{begin}{times}, explains them hardly better'
+            return 'cannot be told from them'
+        return 'explains them hardly better'
 
     def state(self, pieces: int) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything, as plain values and arrays.
@@ -236,6 +257,7 @@ class FormTrial:
             'stamp_ns': self._start.stamp_ns,
             'before_a': before_a if math.isfinite(before_a) else None,
             'pieces': pieces,
+            'candidates': [[kind.source, *kind.effects] for kind in self._start.candidates],
         }
         arrays = {_TRIAL: self._start.content.copy()}
         if self.backlog:
@@ -248,9 +270,10 @@ class FormTrial:
         plain: Mapping[str, Any],
         arrays: Mapping[str, Array],
         white_box: MotorWhiteBox,
-        source: str,
+        kind: FormKind,
         number: int,
-        make: Callable[[str], MotorForm],
+        make: FormMaker,
+        may_try: Callable[[FormKind], bool],
         budget: WorkBudget,
     ) -> FormTrial:
         """Return the trial that :meth:`state` gave; pieces that had been done are done again.
@@ -259,9 +282,10 @@ class FormTrial:
             plain: of a state.
             arrays: of the same.
             white_box: the physics in force.
-            source: where it has its speed from.
+            kind: of that form.
             number: of the trial, counted from 1.
             make: makes a form, as above.
+            may_try: tells whether a form is one that the motor may take.
             budget: what the pieces are counted in.
 
         Raises:
@@ -278,7 +302,8 @@ class FormTrial:
             check_signals(_BACKLOG, arrays[_BACKLOG], longest=2 * LONGEST_BACKLOG)
             backlog = [*arrays[_BACKLOG][:, 0].T.copy()]
         start = TrialStart(
-            source,
+            kind,
+            _saved_candidates(plain, kind, may_try),
             len(white_box.parameters),
             number,
             arrays[_TRIAL],
@@ -288,6 +313,28 @@ class FormTrial:
         trial = cls(start, make, backlog)
         budget.repeat(trial.work, pieces)
         return trial
+
+
+def _saved_candidates(
+    plain: Mapping[str, Any], kind: FormKind, may_try: Callable[[FormKind], bool]
+) -> tuple[FormKind, ...]:
+    """Return the candidates of a saved trial.
+
+    Raises:
+        CheckpointError: they are none that could be tried.
+    """
+    if 'candidates' in plain:
+        saved = entry(plain, 'candidates')
+    else:  # of a release that tried the source of the speed alone
+        other = kind.with_other_source
+        saved = [] if other is None else [[other.source]]
+    if isinstance(saved, list) and 0 < len(saved) <= MOST_CANDIDATES:
+        kinds = tuple(
+            FormKind(one[0], tuple(one[1:])) for one in saved if isinstance(one, list) and one
+        )
+        if len(kinds) == len(saved) and kind not in kinds and all(map(may_try, kinds)):
+            return kinds
+    raise CheckpointError('speed.trial.candidates are no forms that could be tried')
 
 
 def _content(backlog: Sequence[Array]) -> Array:

@@ -16,7 +16,7 @@ from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.predictor import Forecasting
 from gray_box_observer.samples import Sample
-from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -24,12 +24,60 @@ from gray_box_observer.white_box.interface import Array
 THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
 """Sources of a motor's speed."""
 
-OTHER = {THESIS: ROTOR, ROTOR: THESIS}
+OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-IN_WORDS = {THESIS: 'a speed of Kt i', ROTOR: 'a rotor'}
+LOST_VOLTAGE, OFFSET = 'brush_drop', 'voltage_offset'
+"""Context nodes of the effects of driver and sensor that data may add."""
+
+EFFECT_NODES = (LOST_VOLTAGE, OFFSET)
+
+_IN_WORDS = {
+    THESIS: 'a speed of Kt i',
+    ROTOR: 'a rotor',
+    MEASURED: 'the measured speed',
+    LOST_VOLTAGE: 'a lost voltage',
+    OFFSET: 'an offset',
+}
 
 WORK_A_SAMPLE = 8
 """Work of a fit of the thesis's form, and of a test of the fit, for each of its samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class FormKind:
+    """Which form the physics of a motor takes.
+
+    Attributes:
+        source: of its speed.
+        effects: of driver and sensor that were added, by their context nodes.
+    """
+
+    source: str
+    effects: tuple[str, ...] = ()
+
+    @property
+    def in_words(self) -> str:
+        """What it is called in a sentence."""
+        *others, last = [_IN_WORDS[name] for name in (self.source, *self.effects)]
+        return f'{", ".join(others)} and {last}' if others else last
+
+    @property
+    def with_other_source(self) -> FormKind | None:
+        """The plain form with the other source of the speed; None where it is measured."""
+        other = OTHER_SOURCE.get(self.source)
+        return None if other is None else FormKind(other)
+
+    def with_effect(self, node: str) -> FormKind:
+        """Return the same form with one effect more."""
+        return FormKind(self.source, (*self.effects, node))
+
+    def without(self, node: str) -> FormKind:
+        """Return the same form without an effect."""
+        return FormKind(self.source, tuple(name for name in self.effects if name != node))
+
+
+FormMaker = Callable[[FormKind], 'MotorForm']
+"""Makes a form of one motor that has learnt nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +147,7 @@ class MotorForm:
 
 def _sample(column: Array, stamp_ns: int) -> Sample:
     """Return a sample by its signals, shape (signal,)."""
-    signals = (float(column[row]) for row in (INTERVAL, VOLTAGE, TORQUE))
+    signals = (float(column[row]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
     return Sample.of_one_motor(stamp_ns, *signals)
 
 

@@ -18,9 +18,9 @@ from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
-from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
@@ -66,7 +66,7 @@ class MotorObserver:
 
     Args:
         form: what the motors are observed by.
-        speed_choice: says where their speed comes from, and tries another form where that of one
+        form_choice: says which form their physics takes, and tries another one where that of one
             motor does not explain its data.
 
     Attributes:
@@ -74,8 +74,8 @@ class MotorObserver:
         changed_motors: whose estimates the last sample has changed, by places on the motor axis.
     """
 
-    def __init__(self, form: MotorForm, speed_choice: SpeedChoice) -> None:
-        self.speed_choice = speed_choice
+    def __init__(self, form: MotorForm, form_choice: FormChoice) -> None:
+        self.form_choice = form_choice
         self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
         self._retests: dict[int, bool] = {}
         self._deferred_update: DeferredUpdate | None = None
@@ -168,7 +168,7 @@ class MotorObserver:
         if self._speed is not None:
             update.speed = self._speed.step(sample, self._belief.theta[0])
             update.followed_speed = self._speed.estimate
-        if self._forecasting is None and self.speed_choice.is_idle:
+        if self._forecasting is None and self.form_choice.is_idle:
             update.alarm = self.alarmed  # nothing is left to be done
         else:
             self._deferred_update = update
@@ -185,7 +185,7 @@ class MotorObserver:
         if update is None:
             return
         self._judge_prediction(update)
-        if not (self.speed_choice.is_idle or self._is_frozen):
+        if not (self.form_choice.is_idle or self._is_frozen):
             self._try_other_form(update.sample)
 
     def _judge_prediction(self, update: DeferredUpdate) -> None:
@@ -207,14 +207,14 @@ class MotorObserver:
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
         fit = self._fit.assessment(0)
-        self._go_over(self.speed_choice.step(self.white_box, self.context_nodes, fit, sample))
+        self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
     def finish(self) -> None:
         """Do what is left of a trial of another form: no samples will come."""
         self.run_deferred()
-        if self.speed_choice.is_open and not self._is_frozen:
+        if self.form_choice.is_open and not self._is_frozen:
             nodes, fit = self.context_nodes, self._fit.assessment(0)
-            self._go_over(self.speed_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
+            self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
 
     def _go_over(self, form: MotorForm | None) -> None:
         """Observe the motor by another form, where there is one."""
@@ -321,7 +321,7 @@ class MotorObserver:
             is_recent: whether its newest samples alone are tested.
         """
         estimate, has_changed = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
-        self.speed_choice.wake()
+        self.form_choice.wake()
         self._retests[motor] = self._retests.get(motor, False) or (is_out and has_changed)
         return estimate
 
@@ -446,7 +446,7 @@ class MotorObserver:
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
         place = int(self.context_nodes.replay.received[motor])
-        speed, trial = self.speed_choice.state(place)
+        speed, trial = self.form_choice.state(place)
         mechanics = self._belief.mechanics
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
@@ -495,7 +495,7 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(
+            self.form_choice.restore(
                 group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place
             )
         self._know(self._believed(motor_slice), motor_slice)

@@ -83,7 +83,17 @@ class MotorView:
     @property
     def speed_reason(self) -> str:
         """Why its speed is taken from where it is; ``white_box.speed_source`` says from where."""
-        return self.observer.speed_choice.reason
+        return self.observer.form_choice.reason
+
+    @property
+    def added_effects(self) -> tuple[str, ...]:
+        """Context nodes of the effects of driver and sensor that the data have added."""
+        return self.observer.form_choice.kind.effects
+
+    @property
+    def effects_reason(self) -> str:
+        """Why just these effects were added."""
+        return self.observer.form_choice.effects_reason
 
     @property
     def speed(self) -> SpeedEstimate | None:

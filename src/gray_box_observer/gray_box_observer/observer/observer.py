@@ -30,6 +30,7 @@ from gray_box_observer.observer.builder import (
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
 from gray_box_observer.observer.mixed_signals import MixUp, MixUpSearch
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
@@ -443,8 +444,9 @@ class Observer:
             for name in group.names
             if name in states
         }
-        rotors = [_has_rotor(states[name][0]) for name in group.names if name in states]
-        observer = self._make(group, any(measured_flags), has_rotor=any(rotors))
+        alone = states.get(group.names[0]) if len(group.names) == 1 else None
+        kind = None if alone is None else _saved_kind(alone[0])
+        observer = self._make(group, any(measured_flags), kind)
         try:
             for motor, name in enumerate(group.names):
                 if name not in states:
@@ -546,12 +548,12 @@ class Observer:
         )
 
     def _make(
-        self, group: Group, speed_measured: bool, *, has_rotor: bool = False
+        self, group: Group, speed_measured: bool, kind: FormKind | None = None
     ) -> MotorObserver:
         motors = [self.configuration.motors[name] for name in group.names]
         observer = motor_observer(
             self.configuration, motors, self._training, speed_measured=speed_measured,
-            has_rotor=has_rotor,
+            kind=kind,
         )  # fmt: skip
         observer.freeze(self._is_frozen)
         return observer
@@ -561,7 +563,14 @@ class Observer:
         return [one for result in results for one in self.results(result)]
 
 
-def _has_rotor(plain: dict[str, Any]) -> bool:
-    """Tell whether a saved motor had a rotor as a state."""
+def _saved_kind(plain: dict[str, Any]) -> FormKind:
+    """Return the form of a saved motor."""
     nodes = plain['white_box'].get('context_nodes')
-    return isinstance(nodes, list) and STORAGES[State.SPEED] in nodes
+    choice = plain.get('speed', {})
+    effects = choice.get('effects', []) if isinstance(choice, dict) else []
+    if isinstance(nodes, list) and STORAGES[State.SPEED] in nodes:
+        source = ROTOR
+    else:
+        source = MEASURED if plain['white_box']['speed_measured'] else THESIS
+    is_list = isinstance(effects, list) and all(isinstance(node, str) for node in effects)
+    return FormKind(source, tuple(effects) if is_list else ())

@@ -1,7 +1,7 @@
 """What is believed of motors' parameters: what their rule has learnt, as far as the fit allows.
 
-What is published says more, and nothing leans on it: the parameters of a measured rotor, and what
-is not known of the scales.
+What is published says more, and nothing leans on it: the parameters of a measured rotor, what is
+not known of the scales, and parts that were known.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ class ParameterBelief:
         self.covariance: Array = np.zeros((motors, electrical, electrical))
         self._fit = form.fit
         self._scales = form.scales
+        self._known_parts = form.white_box.known_parts
         self._places = np.arange(motors)
 
     def present(self, motors: Any = slice(None)) -> Estimate:
@@ -66,7 +67,7 @@ class ParameterBelief:
         return self._fit.judged(self.context_nodes, estimate, self._places[motors])
 
     def published(self, estimate: Estimate, motors: Any = slice(None)) -> Estimate:
-        """Add a measured rotor's parameters, and what is not known of the scales.
+        """Add a measured rotor's parameters, what is not known of the scales, and known parts.
 
         Args:
             estimate: what is believed of some motors.
@@ -77,9 +78,10 @@ class ParameterBelief:
             assert isinstance(nodes, MeasuredSpeedUpdate)
             is_believed = self._fit.assessment(0).verdict is not FitVerdict.MISFIT
             estimate = nodes.with_mechanics(estimate, is_believed=is_believed)
-        if self._scales is None:
-            return estimate
-        return self._scales.widened(nodes, estimate, self._places[motors], nodes.verdict_rules)
+        if self._scales is not None:
+            rules = nodes.verdict_rules
+            estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
+        return estimate.with_known_parts(self._known_parts)
 
     def keep(self, estimate: Estimate, motors: Any, *, is_frozen: bool) -> None:
         """Keep the beliefs of some motors, and whether all is identified; freezing keeps that.

@@ -103,6 +103,8 @@ class ScaleDoubt:
         """Return how the values change with a relative change of the scale, shape (parameter,)."""
         exponents = np.array([gain.exponent(p.unit) for p in estimate.parameters], dtype=float)
         direction: Array = exponents * estimate.value[row]
+        parts = self._boxes[motor].known_parts
+        direction[: parts.size] += exponents[: parts.size] * parts
         if gain.of_known:
             share = self._known_share(nodes, motor)
             direction[: share.size] += gain.of_known * share

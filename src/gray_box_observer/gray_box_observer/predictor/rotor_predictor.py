@@ -193,8 +193,7 @@ class RotorPredictor(TorquePredictor):
             return
         self._theta = theta.copy()
         box = self._white_box
-        self._values = {name: float(value) for name, value in box.known.items()}
-        self._values |= dict(zip(box.context_nodes, theta.tolist(), strict=True))
+        self._values = box.values(theta)
         self._p = coordinates(box, theta)
 
     def _moved(self, start: Array, volt: float, parts_s: Array) -> Array | None:

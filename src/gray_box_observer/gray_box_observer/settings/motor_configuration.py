@@ -30,6 +30,9 @@ BACK_EMF = 'back_emf_constant'
 DEFAULT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
 """What is identified of a motor that states nothing."""
 
+OFFSET_STD = 0.1
+"""Standard deviation of an offset of which nothing is stated, relative to its largest."""
+
 SMALLEST_RELATIVE_STD = 1e-6
 """No initial value is known better; and the arithmetic would not bear it."""
 
@@ -56,7 +59,12 @@ class MotorConfiguration:
         constants = {
             name: self.values[parameter]
             for name, parameter in KNOWN_PARAMETERS.items()
-            if name not in nodes and self.values[parameter] > 0.0
+            if name not in nodes and self.values[parameter] != 0.0
+        }
+        constants |= {
+            name: TERMS[name].known_part
+            for name in nodes
+            if name in TERMS and TERMS[name].known_part
         }
         if mechanical:
             constants = {
@@ -133,9 +141,18 @@ class MotorConfiguration:
         motor.white_box(speed_measured=False)
         return motor
 
+    def with_effects(self, effects: Sequence[str]) -> MotorConfiguration:
+        """Return the same motor with effects of driver and sensor among its context nodes."""
+        nodes = [*self.values['context_nodes'], *effects]
+        return replace(self, values={**self.values, 'context_nodes': nodes}) if effects else self
+
+    def has_value(self, name: str) -> bool:
+        """Tell whether a term is identified or known already."""
+        return name in self.values['context_nodes'] or self._is_known(name)
+
     def _is_known(self, name: str) -> bool:
         parameter = KNOWN_PARAMETERS.get(name)
-        return parameter is not None and self.values[parameter] > 0.0
+        return parameter is not None and self.values[parameter] != 0.0
 
     def is_notable(self, spec: ParameterSpec) -> bool:
         """Tell whether a value must be known to repeat a run: constant, stated or no default."""
@@ -157,13 +174,17 @@ class MotorConfiguration:
         return 0.0 if self.estimates_delay else float(self.values['delay'])
 
     def initial(self) -> list[float]:
-        """Where identification starts, in the order of the context nodes."""
-        return [float(self.values[f'initial.{name}']) for name in self.values['context_nodes']]
+        """Where identification starts, in the order of the context nodes, without known parts."""
+        return [
+            float(self.values[f'initial.{name}']) - TERMS[name].known_part
+            for name in self.values['context_nodes']
+        ]
 
     def initial_relative_std(self) -> list[float]:
         """How well these are known, relative to them, in the same order; 0: nothing is said."""
         return [
             float(self.values[f'initial_relative_std.{name}'])
+            or (OFFSET_STD if TERMS[name].known_part else 0.0)
             for name in self.values['context_nodes']
         ]
 
@@ -236,7 +257,7 @@ def _motor(
         values['context_nodes'] = list(ROTOR_NODES)
     _check_rotor(motor)
     for node in values['context_nodes']:
-        if values.get(f'known.{node}', 0.0) > 0.0:
+        if values.get(f'known.{node}', 0.0) != 0.0:
             raise ConfigurationError(
                 f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of '
                 'them out'

@@ -319,7 +319,8 @@ def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
                 'among context_nodes.'
             )
             name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
-            yield ParameterSpec(name, term.known_value, description, 0.0, upper)
+            lower = -upper if term.known_part else 0.0
+            yield ParameterSpec(name, term.known_value, description, lower, upper)
 
 
 ROTOR_NODES = (
@@ -359,6 +360,13 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         choices=('auto', 'measured', 'torque_constant', 'rotor'),
     ),
     ParameterSpec(
+        'effects',
+        'auto',
+        'Effects of driver and sensor (brush_drop, voltage_offset): auto adds them to '
+        'context_nodes where the data show them; none never does.',
+        choices=('auto', 'none'),
+    ),
+    ParameterSpec(
         'joint',
         '',
         'Name of the motor in messages, such as that of its joint; empty: its own name.',
@@ -388,10 +396,10 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     *(
         ParameterSpec(
             f'initial.{term.parameter.name}',
-            term.parameter.initial,
+            term.parameter.initial + term.known_part,
             f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
-            term.parameter.lower,
-            term.parameter.upper,
+            term.parameter.lower + term.known_part,
+            term.parameter.upper + term.known_part,
         )
         for term in TERMS.values()
     ),

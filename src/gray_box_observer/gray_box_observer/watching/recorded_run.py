@@ -254,6 +254,7 @@ class _Teller:
             'fit verdict': view.fit.verdict.value,
             'fit ratio': words_of(view.fit.ratio, '.4g', 'unknown'),
             'speed source': view.white_box.speed_source,
+            'effects added': ', '.join(view.added_effects) or 'none',
         }
         if view.speed is not None:
             facts['speed [rad/s]'] = words_of(view.speed.speed_rad_s, '.4g', 'unknown')

@@ -1,9 +1,10 @@
 """The motor, declared only here: its states, its signals, and one entry for every effect.
 
-``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with
-``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush
-drop beside them (docs/METHOD.md, The form). A motor whose inertia is a context node has a second
-balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The whole motor).
+``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i) + V_0``, thesis equations 4.1, 4.2 and 4.4
+with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a
+brush drop and an offset beside them (docs/METHOD.md, The form). A motor whose inertia is a context
+node has a second balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The
+whole motor).
 
 A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators,
 numbers, ``abs`` and ``sign``. ``make physics`` differentiates the formulas and writes the forms
@@ -59,6 +60,8 @@ class Term:
             ``known.NAME``.
         known_value: what that is unless it is stated; 0 leaves the effect out.
         known_upper: the largest that it may be; ``None``: as for the coefficient.
+        known_part: what is known of the coefficient though it is among the context nodes; the
+            unknown rest is positive. Negative for a coefficient that may have either sign.
     """
 
     parameter: Parameter
@@ -68,6 +71,7 @@ class Term:
     known_as: str = ''
     known_value: float = 0.0
     known_upper: float | None = None
+    known_part: float = 0.0
 
 
 _DECLARED = (
@@ -124,6 +128,19 @@ _DECLARED = (
         'current / (abs(current) + 0.02)',  # half of it is there at 0.02 A
         known_as='brush_drop',
         known_upper=1e3,
+    ),
+    Term(
+        Parameter(
+            'voltage_offset',
+            'V',
+            5.0,
+            1e-2,
+            1e1,
+            'Voltage V_0 that is missing whatever the current: by so much the voltage reads too '
+            'high, or the current too low by V_0 / R.',
+        ),
+        '1',
+        known_part=-5.0,
     ),
     Term(
         Parameter(

@@ -5,11 +5,11 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 1136474284811409204
+#define FORMS_FINGERPRINT 839297431236145863
 
 enum { CURRENT, STATES };
-enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, INERTIA, VISCOUS_FRICTION,
-    COULOMB_FRICTION, LOAD_TORQUE };
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
+    VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE };
 
 #include "white_box/physics.h"
 
@@ -17,7 +17,7 @@ enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, INERTI
 static inline int term_known(int64_t code)
 {
     return code == RESISTANCE || code == HYSTERESIS || code == BACK_EMF_CONSTANT || code ==
-        BRUSH_DROP;
+        BRUSH_DROP || code == VOLTAGE_OFFSET;
 }
 
 /* Speed in rad/s where it follows the current. */
@@ -59,6 +59,9 @@ INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Rea
     case BRUSH_DROP:
         t.value = current / (0.02 + absolute(current));
         t.slope[CURRENT] = 0.02 / ((0.02 + absolute(current)) * (0.02 + absolute(current)));
+        break;
+    case VOLTAGE_OFFSET:
+        t.value = 1.0 + 0.0 * current;
         break;
     default: break;
     }

@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 1136474284811409204
+FINGERPRINT = 839297431236145863
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 281824072844258588
+WHOLE_MOTOR_FINGERPRINT = 1021473155876967314
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -41,6 +41,12 @@ EFFECTS: dict[str, Form] = {
         (lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
          lambda current, speed, torque_constant: 0.0),
         lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+    ),
+    'voltage_offset': Form(
+        lambda current, speed, torque_constant: 1.0 + 0.0 * current,
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: 0.0),
+        lambda current, speed, torque_constant: 0.0,
     ),
     'viscous_friction': Form(
         lambda current, speed, torque_constant: speed,

@@ -31,7 +31,7 @@ class MotorWhiteBox:
             comes first.
         torque_constant: Kt in N m/A, a scalar or shape (motor,).
         known: values of the known parameters in SI units, scalars or shape (motor,); effects left
-            out are zero.
+            out are zero. Of a context node with a known part it is that part.
         speed_measured: true where speed is a signal; else ``w = Kt i`` (thesis, 4.1.1).
 
     Raises:
@@ -126,8 +126,26 @@ class MotorWhiteBox:
 
     @cached_property
     def given(self) -> tuple[str, ...]:
-        """Names of the terms whose values are known and not identified."""
-        return tuple(name for name in self.known if name not in self.context_nodes)
+        """Names of the terms whose values are known, or known in part."""
+        return tuple(
+            name for name in self.known if name not in self.context_nodes or TERMS[name].known_part
+        )
+
+    @cached_property
+    def known_parts(self) -> Array:
+        """What is known of every unknown parameter, shape (parameter,): 0 of nearly all."""
+        parts = [self.known[n] if n in self.given else 0.0 for n in self.context_nodes]
+        return np.array([float(np.ravel(part)[0]) for part in parts])
+
+    def values(self, theta: Array) -> dict[str, float]:
+        """Return the value of every term of one motor, known or unknown, by its name.
+
+        Args:
+            theta: shape (parameter,).
+        """
+        values = {name: float(value) for name, value in self.known.items()}
+        values |= dict(zip(self.context_nodes, (theta + self.known_parts).tolist(), strict=True))
+        return values
 
     @cached_property
     def codes(self) -> tuple[int, ...]:

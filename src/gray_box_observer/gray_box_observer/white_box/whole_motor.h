@@ -5,11 +5,11 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 281824072844258588
+#define WHOLE_MOTOR_FINGERPRINT 1021473155876967314
 
 enum { CURRENT, SPEED, STATES };
-enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, INERTIA, VISCOUS_FRICTION,
-    COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
+    VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
 
 typedef struct {
     Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];
@@ -23,40 +23,42 @@ INLINE Linear rate_of(
     const Real t1 = state[CURRENT] * absolute(state[SPEED]);
     const Real t2 = state[CURRENT] / (0.02 + absolute(state[CURRENT]));
     linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
-        - p[4] * t2;
+        - p[4] * t2 - p[5] * 1.0;
     const Real t3 = 0.02 + absolute(state[CURRENT]);
     linear.by_state[CURRENT][CURRENT] = p[0] * all(0.0) - p[1] * 1.0 - p[2] * absolute(state[SPEED])
-        - p[3] * 0.0 - p[4] * (0.02 / (t3 * t3));
+        - p[3] * 0.0 - p[4] * (0.02 / (t3 * t3)) - p[5] * 0.0;
     linear.by_state[CURRENT][SPEED] = p[0] * all(0.0) - p[1] * 0.0 - p[2] * (state[CURRENT] *
-        sign(state[SPEED])) - p[3] * 1.0 - p[4] * 0.0;
+        sign(state[SPEED])) - p[3] * 1.0 - p[4] * 0.0 - p[5] * 0.0;
     linear.by_coordinate[CURRENT][0] = voltage;
     linear.by_coordinate[CURRENT][1] = -(state[CURRENT]);
     linear.by_coordinate[CURRENT][2] = -(t1);
     linear.by_coordinate[CURRENT][3] = -(state[SPEED]);
     linear.by_coordinate[CURRENT][4] = -(t2);
-    linear.by_coordinate[CURRENT][5] = all(0.0);
+    linear.by_coordinate[CURRENT][5] = -1.0;
     linear.by_coordinate[CURRENT][6] = all(0.0);
     linear.by_coordinate[CURRENT][7] = all(0.0);
     linear.by_coordinate[CURRENT][8] = all(0.0);
+    linear.by_coordinate[CURRENT][9] = all(0.0);
     const Real t4 = torque_constant * state[CURRENT];
     const Real t5 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
         0.03 * absolute(state[SPEED]) + 0.0009);
-    linear.value[SPEED] = p[5] * t4 - p[6] * state[SPEED] - p[7] * t5 - p[8] * 1.0;
-    linear.by_state[SPEED][CURRENT] = p[5] * torque_constant - p[6] * 0.0 - p[7] * 0.0 - p[8] * 0.0;
+    linear.value[SPEED] = p[6] * t4 - p[7] * state[SPEED] - p[8] * t5 - p[9] * 1.0;
+    linear.by_state[SPEED][CURRENT] = p[6] * torque_constant - p[7] * 0.0 - p[8] * 0.0 - p[9] * 0.0;
     const Real t6 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
-    linear.by_state[SPEED][SPEED] = p[5] * 0.0 - p[6] * 1.0 - p[7] * ((state[SPEED] * state[SPEED] *
+    linear.by_state[SPEED][SPEED] = p[6] * 0.0 - p[7] * 1.0 - p[8] * ((state[SPEED] * state[SPEED] *
         0.03 - state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
         absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
-        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6)) - p[8] * 0.0;
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6)) - p[9] * 0.0;
     linear.by_coordinate[SPEED][0] = all(0.0);
     linear.by_coordinate[SPEED][1] = all(0.0);
     linear.by_coordinate[SPEED][2] = all(0.0);
     linear.by_coordinate[SPEED][3] = all(0.0);
     linear.by_coordinate[SPEED][4] = all(0.0);
-    linear.by_coordinate[SPEED][5] = t4;
-    linear.by_coordinate[SPEED][6] = -(state[SPEED]);
-    linear.by_coordinate[SPEED][7] = -(t5);
-    linear.by_coordinate[SPEED][8] = -1.0;
+    linear.by_coordinate[SPEED][5] = all(0.0);
+    linear.by_coordinate[SPEED][6] = t4;
+    linear.by_coordinate[SPEED][7] = -(state[SPEED]);
+    linear.by_coordinate[SPEED][8] = -(t5);
+    linear.by_coordinate[SPEED][9] = -1.0;
     return linear;
 }
 

@@ -43,6 +43,8 @@ def sensitivity(
         )
     }
     for name, value in white_box.known.items():
+        if name in white_box.context_nodes:
+            continue
         perturbed_models[name] = replace(
             white_box, known={**white_box.known, name: (1.0 + CHANGE) * value}
         )

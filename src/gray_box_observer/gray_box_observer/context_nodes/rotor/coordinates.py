@@ -59,8 +59,7 @@ def coordinates(white_box: MotorWhiteBox, theta: Array) -> Array:
         white_box: of one motor with a rotor.
         theta: shape (parameter,): its context nodes.
     """
-    values = {name: float(value) for name, value in white_box.known.items()}
-    values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     result = np.zeros(COORDINATES)
     for name, term in TERMS.items():
         storage = values[STORAGES[term.state]]
@@ -82,7 +81,8 @@ def slopes(white_box: MotorWhiteBox, p: Array) -> Array:
     for node, name in enumerate(white_box.context_nodes):
         term = TERMS[name]
         if term.formula:
-            result[_PLACES[name], node] = p[_PLACES[name]]
+            part = float(white_box.known_parts[node])
+            result[_PLACES[name], node] = p[_PLACES[name]] - part * p[_PLACES[STORAGES[term.state]]]
             continue
         for other, place in _PLACES.items():
             if TERMS[other].state is term.state:

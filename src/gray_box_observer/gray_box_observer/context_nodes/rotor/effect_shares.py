@@ -33,8 +33,7 @@ def voltage_shares(white_box: MotorWhiteBox, theta: Array, window: Window, runs:
         Shape (parameter,), in 1 / unit of the parameter; 0, which is nothing known, for what is
         never negligible: inductance, inertia, and the resistance.
     """
-    values = {name: float(value) for name, value in white_box.known.items()}
-    values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     torque_constant = float(white_box.torque_constant)
     current, speed = np.concatenate([run.states for run in runs.runs]).T
     voltage = np.concatenate([history.voltage_v for history in window.histories])
@@ -42,7 +41,7 @@ def voltage_shares(white_box: MotorWhiteBox, theta: Array, window: Window, runs:
     shares = np.zeros(len(white_box.context_nodes))
     for place, name in enumerate(white_box.context_nodes):
         term = TERMS[name]
-        if not term.formula or term.parameter.heats:
+        if not term.formula or term.parameter.heats or white_box.known_parts[place]:
             continue
         effect = forms.EFFECTS[name].value(current, speed, torque_constant)
         volts = 1.0 if term.state is State.CURRENT else values['resistance'] / torque_constant

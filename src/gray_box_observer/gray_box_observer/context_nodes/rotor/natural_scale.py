@@ -31,8 +31,7 @@ def shares_of_scale(white_box: MotorWhiteBox, theta: Array, window: Window) -> A
     Returns:
         Shape (parameter,); infinite for a parameter of no known scale.
     """
-    values = {name: float(value) for name, value in white_box.known.items()}
-    values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     resistance, back_emf = values['resistance'], values['back_emf_constant']
     torque_constant = float(white_box.torque_constant)
     interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))

@@ -146,8 +146,7 @@ class SpeedFilter:
             return
         self._values = theta.copy()
         box = self._white_box
-        values = {name: float(value) for name, value in box.known.items()}
-        values |= dict(zip(box.context_nodes, theta.tolist(), strict=True))
+        values = box.values(theta)
         self._p = coordinates(box, theta)
         self._to_p = native.pointer(self._p)
         self._resistance, self._back_emf = values['resistance'], values['back_emf_constant']

@@ -368,8 +368,7 @@ def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Arr
 
 def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Array:
     """First states from the back-EMF that voltage and resistance leave, (history, unknown)."""
-    values = {name: float(value) for name, value in white_box.known.items()}
-    values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     output = window.speed_output
     unknowns = STATES if output is None else output.unknowns
     starts = np.zeros((len(window.histories), unknowns))

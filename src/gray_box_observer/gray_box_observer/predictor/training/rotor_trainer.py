@@ -73,7 +73,6 @@ def rotor_run(white_box: MotorWhiteBox, theta: Array, history: History) -> Physi
         return None
     states = runs.runs[0].states
     speed = states[None, :-1, State.SPEED]
-    values = {name: float(value) for name, value in white_box.known.items()}
-    values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     steady_a = held_speed_current(values, sequences.voltage_v, speed)
     return PhysicsRun(states[None, 1:, State.CURRENT], steady_a, speed)

@@ -229,7 +229,12 @@ def notes(name: str, observer: Observer) -> list[str]:
     """Say in plain words what a reader of one motor's result has to keep in mind."""
     motor = observer.motors[name]
     values = motor.configuration.values
-    other_constants = [term for term in motor.white_box.known if term != 'back_emf_constant']
+    white_box = motor.white_box
+    other_constants = [
+        term
+        for term in white_box.known
+        if term != 'back_emf_constant' and term not in white_box.context_nodes
+    ]
     scaling = (
         ''
         if other_constants
@@ -253,6 +258,9 @@ def notes(name: str, observer: Observer) -> list[str]:
         )
         sentences.append(f'{constant_text} is taken as known: its error goes into the estimates.')
     sentences.append(f'Speed from {motor.white_box.speed_source}: {motor.speed_reason}.')
+    if motor.added_effects:
+        names = ' and '.join(name.replace('_', ' ') for name in motor.added_effects)
+        sentences.append(f'Added to what is identified: {names}: {motor.effects_reason}.')
     assumption_texts = assumptions(motor.configuration, motor.white_box)
     sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumption_texts.values()]
     delay = motor.delay

@@ -86,6 +86,7 @@ class Commentary:
         self._found_motors: set[str] = set()
         self._verdicts: dict[str, Verdicts] = {}
         self._speed_sources: dict[str, str] = {}
+        self._effects: dict[str, tuple[str, ...]] = {}
 
     def look(self, observer: Observer, traffic: Traffic) -> None:
         """Take in what has come since the last look, and tell what there is to tell.
@@ -154,10 +155,15 @@ class Commentary:
         return [f'found {_motors_in_words(motors)}: samples come'] if motors else []
 
     def _choices(self, observer: Observer) -> list[str]:
-        """Motors whose speed is taken from somewhere else than before, and why."""
+        """Motors that are observed by another form than before, and why."""
         phrases = []
         for name, motor in observer.motors.items():
-            if not motor.observer.speed_choice.is_open:
+            choice = motor.observer.form_choice
+            if choice.is_open and motor.added_effects != self._effects.get(name, ()):
+                self._effects[name] = motor.added_effects
+                added = ' and '.join(motor.added_effects) or 'no effects'
+                phrases.append(f'{name}: {added} added: {motor.effects_reason}')
+            if not choice.speed_is_open:
                 continue
             source = motor.white_box.speed_source
             before = self._speed_sources.setdefault(name, 'torque_constant')

@@ -1,15 +1,17 @@
-"""Chooses by evidence, while a motor runs, what its unmeasured speed is taken for.
+"""Chooses by evidence, while a motor runs, which form its physics takes.
 
-It is Kt i, as in the thesis, or the state of a rotor. Where the fit test rejects the form in force,
-the other one is fitted to what is remembered, as a trial beside the estimate that is out
+An unmeasured speed is Kt i, as in the thesis, or the state of a rotor. Driver and sensor may have
+effects of their own: a voltage that is lost, an offset. Where the fit test rejects the form in
+force, what it suspects is fitted to what is remembered, as a trial beside the estimate that is out
 (`form_trial.py`). Trials come at counts of samples, ever further apart, and are done piece by piece
 at the samples that follow, so that every door leads to the same choice
-(docs/METHOD.md, Which speed).
+(docs/METHOD.md, Which form).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from gray_box_observer.context_nodes import ContextUpdate
@@ -18,6 +20,7 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE
 from gray_box_observer.observer.form_trial import (
+    MOST_CANDIDATES,
     NEWEST,
     FormTrial,
     TrialOutcome,
@@ -25,11 +28,13 @@ from gray_box_observer.observer.form_trial import (
     can_tell,
 )
 from gray_box_observer.observer.motor_form import (
-    IN_WORDS,
+    LOST_VOLTAGE,
     MEASURED,
-    OTHER,
+    OFFSET,
     ROTOR,
     THESIS,
+    FormKind,
+    FormMaker,
     MotorForm,
     residual_a,
 )
@@ -48,28 +53,69 @@ LONGEST_WAIT = 65536
 LONGEST_REASON = 500
 """Characters of a reason."""
 
+NODES = {'lost_voltage': LOST_VOLTAGE, 'dead_zone': LOST_VOLTAGE, 'current_offset': OFFSET}
+"""Context node that stands for a suspected effect, by the effect's name."""
 
-class SpeedChoice:
-    """Follows one motor, and says where its speed comes from and why.
+NOTHING_ADDED = 'nothing in the data speaks for any'
+"""Why no effects are added to a form that explains the data."""
 
-    Args:
-        source: where it comes from at first.
-        reason: why, for people.
-        make: makes the form of a motor by the source of its speed; None: the source is settled.
+TWIN = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
+"""Effects that look alike as long as the current keeps its sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenForms:
+    """Which forms data may lead to.
 
     Attributes:
-        source: where the speed comes from now.
+        make: makes one of them.
+        sources: of the speed.
+        effects: context nodes that may be added.
+    """
+
+    make: FormMaker
+    sources: tuple[str, ...]
+    effects: tuple[str, ...] = ()
+
+    @property
+    def is_choice(self) -> bool:
+        """Whether there is more than one form."""
+        return len(self.sources) > 1 or bool(self.effects)
+
+    def contains(self, kind: FormKind) -> bool:
+        """Tell whether a form is one of these, and adds no effect twice."""
+        effects = kind.effects
+        is_known = kind.source in self.sources and all(node in self.effects for node in effects)
+        return is_known and len(set(effects)) == len(effects)
+
+
+class FormChoice:
+    """Follows one motor, and says which form its physics takes, and why.
+
+    Args:
+        source: of its speed at first.
+        reason: of that, for people.
+        open_forms: which forms data may lead to; None: all is settled.
+        effects_reason: why no effects are added, for people.
+
+    Attributes:
+        kind: of the form in force.
         is_idle: whether nothing is to be done until the fit is tested again.
     """
 
     def __init__(
-        self, source: str, reason: str, make: Callable[[str], MotorForm] | None = None
+        self,
+        source: str,
+        reason: str,
+        open_forms: OpenForms | None = None,
+        effects_reason: str = '',
     ) -> None:
-        self.source = source
+        self.kind = FormKind(source)
         self._reason = printable(reason, LONGEST_REASON)
+        self._effects_reason = printable(effects_reason, LONGEST_REASON)
         self._refusal = ''
-        self._make = make
-        self.is_idle = make is None
+        self._open = open_forms if open_forms is not None and open_forms.is_choice else None
+        self.is_idle = self._open is None
         self._due = self._wait = FEWEST
         self._trials = 0
         self._budget = WorkBudget()
@@ -79,17 +125,38 @@ class SpeedChoice:
     @property
     def reason(self) -> str:
         """Why the speed comes from there; in doubt, why it does not come from elsewhere."""
-        return self._refusal or self._reason
+        return (self._refusal if self.speed_is_open else '') or self._reason
+
+    @property
+    def effects_reason(self) -> str:
+        """Why these effects were added; in doubt, why no others are."""
+        is_open = self._open is not None and bool(self._open.effects)
+        return (self._refusal if is_open else '') or self._effects_reason
 
     @property
     def is_open(self) -> bool:
-        """Whether the data may still lead to another source."""
-        return self._make is not None
+        """Whether the data may still lead to another form."""
+        return self._open is not None
+
+    @property
+    def speed_is_open(self) -> bool:
+        """Whether the data may still lead to another source of the speed."""
+        return self._open is not None and len(self._open.sources) > 1
+
+    def may_take(self, kind: FormKind) -> bool:
+        """Tell whether data may lead to a form."""
+        return self._open is not None and self._open.contains(kind)
+
+    def form_of(self, kind: FormKind) -> MotorForm:
+        """Make a form that data have led to before, and take it for the one in force."""
+        assert self._open is not None
+        self.kind = kind
+        return self._open.make(kind)
 
     def step(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, sample: Sample
     ) -> MotorForm | None:
-        """Go on with the trial of the other form, or begin one where it is due.
+        """Go on with the trial of other forms, or begin one where it is due.
 
         Args:
             white_box: the physics in force.
@@ -100,7 +167,7 @@ class SpeedChoice:
         Returns:
             The other form, where the motor goes over to it.
         """
-        if self._make is None:
+        if self._open is None:
             return None
         place, is_doubted = int(nodes.replay.received[0]), self._is_doubted(fit)
         new_count = max(0, place - self._place)
@@ -109,12 +176,12 @@ class SpeedChoice:
         if not is_doubted:
             self._refusal = ''
         elif not self._refusal:
-            self._refusal = self._why_not_yet()
+            self._refusal = self._why_not_yet(self._candidates(fit))
         if self._trial is not None and new_count > 0:
             self._trial.keep(nodes.replay.newest(min(new_count, nodes.replay.stored(0))))
         self._place = place
         if self._trial is None and is_doubted and place >= self._due:
-            self._trial = self._begin(white_box, nodes, sample.stamp_ns)
+            self._trial = self._begin(white_box, nodes, fit, sample.stamp_ns)
         if self._trial is None:
             return None
         has_ended, outcome = self._budget.advance(self._trial.work)
@@ -145,8 +212,12 @@ class SpeedChoice:
             self._due = place + self._wait
             self._refusal = outcome.reason if is_doubted else ''
             return None
-        self.source = OTHER[self.source]
-        self._reason, self._refusal = outcome.reason, ''
+        assert outcome.kind is not None
+        if outcome.kind.source != self.kind.source:
+            self._reason, self._effects_reason = outcome.reason, NOTHING_ADDED
+        else:
+            self._effects_reason = outcome.reason
+        self.kind, self._refusal = outcome.kind, ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
         self._due = self._place + self._wait
@@ -154,49 +225,81 @@ class SpeedChoice:
 
     def wake(self) -> None:
         """Take note that the fit was tested: what was idle goes on."""
-        self.is_idle = self._make is None
+        self.is_idle = self._open is None
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
         if fit.verdict is FitVerdict.MISFIT:
             # a rotor that has changed: its next fit may explain the data
-            return not (self.source == ROTOR and likeliest == CHANGE)
+            return not (self.kind.source == ROTOR and likeliest == CHANGE)
         return likeliest == ROTOR and fit.verdict is FitVerdict.WARNING
 
+    def _candidates(self, fit: FitAssessment) -> tuple[FormKind, ...]:
+        """Return the forms to try, that of the likeliest suspect first."""
+        kinds: list[FormKind] = []
+        plain = self.kind.with_other_source
+        for suspect in fit.suspects:
+            node = NODES.get(suspect.effect)
+            if node is not None and node not in self.kind.effects:
+                instead = self.kind.without(TWIN[node]).with_effect(node)
+                kinds += [instead, self.kind.with_effect(node)]
+            elif suspect.effect == ROTOR and plain is not None:
+                kinds.append(plain)
+        if plain is not None:
+            kinds.append(plain)
+        different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
+        return tuple(different)[:MOST_CANDIDATES]
+
     def _begin(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, stamp_ns: int
+        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
     ) -> FormTrial | None:
         """Begin a trial on what is remembered, unless the voltage has hardly moved."""
-        assert self._make is not None
+        assert self._open is not None
+        candidates = self._candidates(fit)
+        if not candidates:
+            self._due, self._refusal = self._place + FEWEST, ''
+            return None
         replay = nodes.replay
         count = min(replay.stored(0), replay.capacity, NEWEST)
         content = replay.newest(count).copy()
         if not can_tell(white_box, content):
             self._due = self._place + FEWEST
             self._refusal = (
-                f'{IN_WORDS[self.source]} does not explain the data, but the voltage has hardly '
-                f'moved: {IN_WORDS[OTHER[self.source]]} cannot be told'
+                f'{self.kind.in_words} does not explain the data, but the voltage has hardly '
+                f'moved: {candidates[0].in_words} cannot be told'
             )
             return None
         self._trials += 1
-        self._refusal = self._why_not_yet()
+        self._refusal = self._why_not_yet(candidates)
         self._wait = min(max(2 * self._wait, self._place), LONGEST_WAIT)
         before_a = residual_a(white_box, nodes, content)
         start = TrialStart(
-            self.source, len(white_box.parameters), self._trials, content, stamp_ns, before_a
+            self.kind,
+            candidates,
+            len(white_box.parameters),
+            self._trials,
+            content,
+            stamp_ns,
+            before_a,
         )
-        return FormTrial(start, self._make)
+        return FormTrial(start, self._open.make)
 
-    def _why_not_yet(self) -> str:
-        """Say that the other form is still to be tried."""
-        here, there = IN_WORDS[self.source], IN_WORDS[OTHER[self.source]]
-        return f'{here} does not explain the data, and too few samples have come to try {there}'
+    def _why_not_yet(self, candidates: tuple[FormKind, ...]) -> str:
+        """Say that another form is still to be tried."""
+        if not candidates:
+            return ''
+        return (
+            f'{self.kind.in_words} does not explain the data, and too few samples have come to try '
+            f'{candidates[0].in_words}'
+        )
 
     def state(self, place: int) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything, as plain values and arrays; places count back from the newest one."""
         plain = {
-            'source': self.source,
+            'source': self.kind.source,
+            'effects': list(self.kind.effects),
             'reason': self._reason,
+            'effects_reason': self._effects_reason,
             'refusal': self._refusal,
             'is_open': self.is_open,
             'due': self._due - place,
@@ -218,7 +321,7 @@ class SpeedChoice:
         white_box: MotorWhiteBox,
         place: int,
     ) -> None:
-        """Take back what :meth:`state` gave; a source that is settled stays as it is settled now.
+        """Take back what :meth:`state` gave; what is settled stays as it is settled now.
 
         Pieces of a trial that had been done are done again.
 
@@ -232,6 +335,7 @@ class SpeedChoice:
             CheckpointError: it is no state that a choice could have been in.
         """
         reasons = [entry(plain, name) for name in ('reason', 'refusal')]
+        reasons.append(plain.get('effects_reason', self._effects_reason))  # not of early releases
         if not all(isinstance(r, str) and r == printable(r, LONGEST_REASON) for r in reasons):
             raise CheckpointError('speed.reason is none that could have been given')
         due, wait = whole(plain, 'due', -MOST, MOST), whole(plain, 'wait', FEWEST, LONGEST_WAIT)
@@ -242,15 +346,15 @@ class SpeedChoice:
             return
         self._budget = WorkBudget.restored(plain)
         self._trial = None
-        self._reason, self._refusal = reasons
+        self._reason, self._refusal, self._effects_reason = reasons
         self._due, self._wait, self._trials = place + due, wait, trials
         self._place = place
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, 0)
             self.is_idle = flag(plain, 'is_idle') and 'trial' not in plain
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
-            assert self._make is not None
+            assert self._open is not None
             self._trial = FormTrial.restored(
-                group(plain, 'trial'), arrays, white_box, self.source, trials, self._make,
-                self._budget,
+                group(plain, 'trial'), arrays, white_box, self.kind, trials, self._open.make,
+                self.may_take, self._budget,
             )  # fmt: skip

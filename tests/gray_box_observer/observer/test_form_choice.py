@@ -193,7 +193,7 @@ def test_a_trial_is_judged_by_what_was_compared_when_it_began(in_trial: MotorObs
         before_a = share * plain['speed']['trial']['before_a']
         motor.restore(with_trial(plain, 'before_a', before_a), arrays)
         motor.finish()
-        ends.append((motor.white_box.speed_source, motor.speed_choice.reason))
+        ends.append((motor.white_box.speed_source, motor.form_choice.reason))
     assert ends[0] == ends[1]
     assert ends[0][0] == 'rotor'
     assert ends[2][0] == 'torque_constant'
@@ -203,9 +203,9 @@ def test_a_trial_is_judged_by_what_was_compared_when_it_began(in_trial: MotorObs
 def test_a_form_that_is_not_adopted_leaves_no_reason(in_trial: MotorObserver) -> None:
     motor = made()
     motor.restore(*copied(in_trial))
-    choice, nodes = motor.speed_choice, motor.context_nodes
+    choice, nodes = motor.form_choice, motor.context_nodes
     assert choice.finish(nodes, FitAssessment(FitVerdict.OK, 1.0, 1.0, ()), 0) is None
-    assert choice.source == 'torque_constant'
+    assert choice.kind.source == 'torque_constant'
     assert 'nothing in the data speaks against' in choice.state(0)[0]['reason']
     assert choice.state(0)[0]['refusal'] == ''
 
@@ -215,7 +215,7 @@ def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver
     plain, arrays = copied(in_trial)
     arrays['speed/backlog'] = np.tile(arrays['nodes/replay'][:, :, -200:], (1, 1, 10))
     motor.restore(plain, arrays)
-    trial, taken = motor.speed_choice._trial, 0
+    trial, taken = motor.form_choice._trial, 0
     assert trial is not None
     while True:
         try:
