@@ -177,6 +177,7 @@ def _drivers() -> Iterator[Scenario]:
         wrong | both,
         suspects=(*VOLTAGE_OFFSET, *CURRENT_OFFSET),
         driver=(effects.voltage_offset(0.2),),
+        effects={'voltage_offset': -0.2},
     )
     yield case(
         group,
@@ -184,10 +185,23 @@ def _drivers() -> Iterator[Scenario]:
         gear,
         suspects=(*VOLTAGE_OFFSET, *CURRENT_OFFSET),
         driver=(effects.voltage_offset(0.2),),
+        effects={'voltage_offset': -0.2},
     )
     group = 'dead zone'
-    yield case(group, '2 V', wrong | lost | both, driver=(effects.dead_zone(2.0),))
-    yield case(group, '1 V, speed measured', gear | lost, driver=(effects.dead_zone(1.0),))
+    yield case(
+        group,
+        '2 V',
+        wrong | lost | both,
+        driver=(effects.dead_zone(2.0),),
+        effects={'brush_drop': 2.0},
+    )
+    yield case(
+        group,
+        '1 V, speed measured',
+        gear | lost,
+        driver=(effects.dead_zone(1.0),),
+        effects={'brush_drop': 1.0},
+    )
     group = 'slew of the driver'
     slow = {'suspects': LAG_OR_DELAY}
     yield case(group, '3 samples', gear | slow, driver=(effects.slew(3.0, 12.0),))

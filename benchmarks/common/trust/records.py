@@ -48,6 +48,7 @@ class Scenario:
         change: what becomes of the motor.
         changes: how often in the record, at equal spans of time; every second time it changes back.
         scale: whether a scale is wrong, which nothing can see.
+        effects: true values of what driver and sensor do, by the parameters that stand for it.
         words: what a message must contain to name the fault, as a regular expression; empty: not
             asked.
     """
@@ -72,6 +73,7 @@ class Scenario:
     change: Callable[[Motor], Motor] | None = None
     changes: int = 1
     scale: bool = False
+    effects: Mapping[str, float] = field(default_factory=dict)
     words: str = ''
 
 
@@ -85,7 +87,7 @@ class Record:
         readings: the log; the current in A, from which torque is made by the user's torque
             constant.
         parameters: what the user configures, by full names.
-        truth: true values by names of parameters.
+        truth: true values by names of parameters; without those that nobody can name.
         changed: true values after every odd one of the changes.
         change_ns: stamps of the changes.
     """
@@ -121,7 +123,13 @@ def make_record(scenario: Scenario, seed: int) -> Record:
     after = motor if scenario.change is None else scenario.change(motor)
     change_ns = tuple(int(log.torque_stamp_ns[k]) for k in _change_samples(scenario, size))
     return Record(
-        scenario, seed, log, _parameters(scenario, motor), _truth(motor), _truth(after), change_ns
+        scenario,
+        seed,
+        log,
+        _parameters(scenario, motor),
+        _truth(scenario, motor),
+        _truth(scenario, after),
+        change_ns,
     )
 
 
@@ -202,9 +210,9 @@ def _closed_loop(
     return _Course(voltage, measured, speed)
 
 
-def _truth(motor: Motor) -> dict[str, float]:
+def _truth(scenario: Scenario, motor: Motor) -> dict[str, float]:
     names = {*NODES, *NODES_WITH_SPEED, *ROTOR, 'brush_drop'}
-    return {name: float(getattr(motor, name)) for name in names}
+    return {name: float(getattr(motor, name)) for name in names} | dict(scenario.effects)
 
 
 def _parameters(scenario: Scenario, motor: Motor) -> dict[str, object]:

@@ -222,8 +222,9 @@ def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> N
         trial.values[name] = value if math.isfinite(value) else None
         trial.stds[name] = std if math.isfinite(std) else None
         trial.verdicts[name] = estimate.verdicts[0][j].value
-        trial.errors[name] = value / truth[name] - 1.0 if truth[name] else value
-        trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
+        if name in truth:
+            trial.errors[name] = value / truth[name] - 1.0 if truth[name] else value
+            trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
         if trial.verdicts[name] in KNOWN:
             trial.identified_s[name] = watch.known_since_s(name)
     trial.false_at_end = false_parameters(
@@ -243,7 +244,7 @@ def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[
     false = []
     for j, parameter in enumerate(estimate.parameters):
         verdict = estimate.verdicts[0][j].value
-        if verdict not in KNOWN:
+        if verdict not in KNOWN or parameter.name not in truth:
             continue
         true = truth[parameter.name]
         if verdict == 'negligible':
@@ -271,6 +272,7 @@ def _voltage_share(record: Record, parameter: str, true: float) -> float:
         'resistance': log.current_a,
         'back_emf_constant': speed,
         'brush_drop': np.sign(log.current_a),
+        'voltage_offset': np.ones_like(log.current_a),
         'inductance': np.gradient(log.current_a) * record.scenario.rate_hz,
         'coulomb_friction': np.sign(speed) * opposes,
         'viscous_friction': speed * opposes,

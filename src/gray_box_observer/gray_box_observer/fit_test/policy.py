@@ -88,6 +88,9 @@ UNTOLD_DELAY = 0.05
 interval. A voltage that was sampled and not held acts so much later than it is taken to act. Steps
 tell the instant well; smooth voltages do not."""
 
+FAR_UNTOLD_DELAY = 0.15
+"""The same from which few samples are enough: moves of the voltage have come, and have not told."""
+
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
 
@@ -183,6 +186,9 @@ def judge(
         late += UNIFORM_STD if _is_delay_untold(analysis) else share * UNIFORM_STD
     delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(delay_effect, delay_effect)
+    for unknown_shift in (analysis.offset_shift, *analysis.swap_shifts):
+        shift = np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        spread += np.outer(shift, shift)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
@@ -212,7 +218,8 @@ def _is_delay_untold(analysis: ResidualAnalysis) -> bool:
     """
     moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
     is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay_std > UNTOLD_DELAY
-    return is_smooth and moves_inductance
+    is_open = FAR_UNTOLD_DELAY < analysis.delay_std < math.inf
+    return (is_smooth or is_open) and moves_inductance
 
 
 def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
@@ -19,6 +17,7 @@ from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
+from gray_box_observer.fit_test.held_voltage import is_held
 from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
@@ -53,16 +52,6 @@ show."""
 
 FEWEST_WITH_SPEED = 32
 """The same where the speed is measured."""
-
-HELD = 0.01
-"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
-the fit."""
-
-HELD_NOISY = 0.05
-"""The same, at most, where the voltage is measured: its own noise is no move."""
-
-NOISE_RANGE = 10.0
-"""Range of so much noise in standard deviations: that of 4096 samples is 7 to 9."""
 
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
@@ -198,7 +187,13 @@ class WindowTest:
         window = SampleWindow.newest(white_box, motor.nodes.replay, count, motor.one)
         is_drifting = motor.nodes.is_drifting(motor.motor)
         with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
-            analysis = analyse(white_box, to_coordinates(theta), window, is_drifting)
+            analysis = analyse(
+                white_box,
+                to_coordinates(theta),
+                window,
+                is_drifting,
+                self.configuration.added_effects,
+            )
         judgement = judge(
             analysis,
             estimate.std[0] / theta[0],
@@ -331,14 +326,6 @@ def _knows_inductance(estimate: Estimate) -> bool:
         parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED
         for parameter, verdict in verdicts
     )
-
-
-def is_held(voltage_v: Array) -> bool:
-    """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
-    largest_v = float(np.max(np.abs(voltage_v)))
-    noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
-    by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
-    return float(np.ptp(voltage_v)) <= max(HELD * largest_v, by_noise_v)
 
 
 def _first_of_each(suspects: Sequence[Suspect]) -> tuple[Suspect, ...]:

@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE
+from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
     MOST_CANDIDATES,
     NEWEST,
@@ -28,9 +29,7 @@ from gray_box_observer.observer.form_trial import (
     can_tell,
 )
 from gray_box_observer.observer.motor_form import (
-    LOST_VOLTAGE,
     MEASURED,
-    OFFSET,
     ROTOR,
     THESIS,
     FormKind,
@@ -58,9 +57,6 @@ NODES = {'lost_voltage': LOST_VOLTAGE, 'dead_zone': LOST_VOLTAGE, 'current_offse
 
 NOTHING_ADDED = 'nothing in the data speaks for any'
 """Why no effects are added to a form that explains the data."""
-
-TWIN = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
-"""Effects that look alike as long as the current keeps its sign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +237,7 @@ class FormChoice:
         for suspect in fit.suspects:
             node = NODES.get(suspect.effect)
             if node is not None and node not in self.kind.effects:
-                instead = self.kind.without(TWIN[node]).with_effect(node)
+                instead = self.kind.without(TWINS[node]).with_effect(node)
                 kinds += [instead, self.kind.with_effect(node)]
             elif suspect.effect == ROTOR and plain is not None:
                 kinds.append(plain)

@@ -13,6 +13,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.predictor import Forecasting
 from gray_box_observer.samples import Sample
@@ -26,10 +27,8 @@ THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-LOST_VOLTAGE, OFFSET = 'brush_drop', 'voltage_offset'
-"""Context nodes of the effects of driver and sensor that data may add."""
-
 EFFECT_NODES = (LOST_VOLTAGE, OFFSET)
+"""Context nodes of the effects of driver and sensor that data may add."""
 
 _IN_WORDS = {
     THESIS: 'a speed of Kt i',

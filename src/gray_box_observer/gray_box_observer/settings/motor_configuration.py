@@ -46,11 +46,13 @@ class MotorConfiguration:
         values: by the names of MOTOR_PARAMETERS.
         stated_names: names of those that the user has stated; the others have their defaults, which
             say nothing of it.
+        added_effects: context nodes that data have added.
     """
 
     name: str
     values: Mapping[str, Any]
     stated_names: frozenset[str] = frozenset()
+    added_effects: tuple[str, ...] = ()
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
@@ -143,8 +145,11 @@ class MotorConfiguration:
 
     def with_effects(self, effects: Sequence[str]) -> MotorConfiguration:
         """Return the same motor with effects of driver and sensor among its context nodes."""
+        if not effects:
+            return self
         nodes = [*self.values['context_nodes'], *effects]
-        return replace(self, values={**self.values, 'context_nodes': nodes}) if effects else self
+        values = {**self.values, 'context_nodes': nodes}
+        return replace(self, values=values, added_effects=tuple(effects))
 
     def has_value(self, name: str) -> bool:
         """Tell whether a term is identified or known already."""

@@ -125,7 +125,8 @@ _DECLARED = (
             1e1,
             'Voltage drop V_b of the brushes, coefficient of sign(i).',
         ),
-        'current / (abs(current) + 0.02)',  # half of it is there at 0.02 A
+        # sign(i) to 1 % beyond 0.1 A, and half of it at 0.006 A: finite in slope
+        'current * (0.01 + abs(current)) / (0.0001 + 0.01 * abs(current) + current * current)',
         known_as='brush_drop',
         known_upper=1e3,
     ),

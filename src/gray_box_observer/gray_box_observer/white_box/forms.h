@@ -5,7 +5,7 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 839297431236145863
+#define FORMS_FINGERPRINT 561174751884948725
 
 enum { CURRENT, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -57,8 +57,12 @@ INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Rea
         t.slope[CURRENT] = speed_measured ? all(0.0) : torque_constant;
         break;
     case BRUSH_DROP:
-        t.value = current / (0.02 + absolute(current));
-        t.slope[CURRENT] = 0.02 / ((0.02 + absolute(current)) * (0.02 + absolute(current)));
+        t.value = current * (0.01 + absolute(current)) / (0.01 * absolute(current) + 0.0001 +
+            current * current);
+        t.slope[CURRENT] = -(0.01 * 0.01 * current * sign(current) - 0.01 * 0.01 * absolute(current)
+            - 0.01 * 0.0001 - 0.01 * (current * current) + 0.01 * current * absolute(current) *
+            sign(current) - 2.0 * 0.0001 * absolute(current)) / ((0.01 * absolute(current) + 0.0001
+            + current * current) * (0.01 * absolute(current) + 0.0001 + current * current));
         break;
     case VOLTAGE_OFFSET:
         t.value = 1.0 + 0.0 * current;

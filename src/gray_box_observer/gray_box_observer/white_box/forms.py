@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 839297431236145863
+FINGERPRINT = 561174751884948725
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 1021473155876967314
+WHOLE_MOTOR_FINGERPRINT = 229935439749103845
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -37,10 +37,10 @@ EFFECTS: dict[str, Form] = {
         lambda current, speed, torque_constant: torque_constant,
     ),
     'brush_drop': Form(
-        lambda current, speed, torque_constant: current/(0.02 + abs(current)),
-        (lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+        lambda current, speed, torque_constant: current*(0.01 + abs(current))/(current**2 + 0.0001 + 0.01*abs(current)),
+        (lambda current, speed, torque_constant: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
          lambda current, speed, torque_constant: 0.0),
-        lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+        lambda current, speed, torque_constant: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
     ),
     'voltage_offset': Form(
         lambda current, speed, torque_constant: 1.0 + 0.0 * current,

@@ -70,6 +70,10 @@ class WhiteBox(Protocol):
         """The unknown parameters, that of the derivative first."""
 
     @property
+    def known_parts(self) -> Array:
+        """What is known of every unknown parameter, shape (parameter,): 0 of nearly all."""
+
+    @property
     def states(self) -> tuple[int, ...]:
         """Numbers of the states that it has."""
 

@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 1021473155876967314
+#define WHOLE_MOTOR_FINGERPRINT 229935439749103845
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -21,12 +21,16 @@ INLINE Linear rate_of(
 {
     Linear linear;
     const Real t1 = state[CURRENT] * absolute(state[SPEED]);
-    const Real t2 = state[CURRENT] / (0.02 + absolute(state[CURRENT]));
+    const Real t2 = state[CURRENT] * (0.01 + absolute(state[CURRENT])) / (0.01 *
+        absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT]);
     linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
         - p[4] * t2 - p[5] * 1.0;
-    const Real t3 = 0.02 + absolute(state[CURRENT]);
+    const Real t3 = 0.01 * absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT];
     linear.by_state[CURRENT][CURRENT] = p[0] * all(0.0) - p[1] * 1.0 - p[2] * absolute(state[SPEED])
-        - p[3] * 0.0 - p[4] * (0.02 / (t3 * t3)) - p[5] * 0.0;
+        - p[3] * 0.0 - p[4] * (-(0.01 * 0.01 * state[CURRENT] * sign(state[CURRENT]) - 0.01 * 0.01 *
+        absolute(state[CURRENT]) - 0.01 * 0.0001 - 0.01 * (state[CURRENT] * state[CURRENT]) + 0.01 *
+        state[CURRENT] * absolute(state[CURRENT]) * sign(state[CURRENT]) - 2.0 * 0.0001 *
+        absolute(state[CURRENT])) / (t3 * t3)) - p[5] * 0.0;
     linear.by_state[CURRENT][SPEED] = p[0] * all(0.0) - p[1] * 0.0 - p[2] * (state[CURRENT] *
         sign(state[SPEED])) - p[3] * 1.0 - p[4] * 0.0 - p[5] * 0.0;
     linear.by_coordinate[CURRENT][0] = voltage;

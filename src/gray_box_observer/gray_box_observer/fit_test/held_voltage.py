@@ -1,0 +1,28 @@
+"""Whether a voltage is held, so that there is nothing to tell a fit by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.white_box.interface import Array
+
+HELD = 0.01
+"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
+the fit."""
+
+HELD_NOISY = 0.05
+"""The same, at most, where the voltage is measured: its own noise is no move."""
+
+NOISE_RANGE = 10.0
+"""Range of so much noise in standard deviations: that of 4096 samples is 7 to 9."""
+
+
+def is_held(voltage_v: Array) -> bool:
+    """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
+    largest_v = float(np.max(np.abs(voltage_v)))
+    noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
+    by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
+    return float(np.ptp(voltage_v)) <= max(HELD * largest_v, by_noise_v)

@@ -1,0 +1,90 @@
+"""Effects that look alike, and what the parameters would be with the other one.
+
+A voltage that is lost against the current and an offset are the same as long as the current keeps
+its sign. Where data have led to one of them, and the other one explains them as well, nothing may
+be believed that leans on the choice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gray_box_observer.fit_test.effects import interval_means
+from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.white_box import forms
+from gray_box_observer.white_box.interface import Array, WhiteBox
+
+LOST_VOLTAGE, OFFSET = 'brush_drop', 'voltage_offset'
+
+TWINS = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
+"""Context nodes of effects that look alike as long as the current keeps its sign."""
+
+TOLD_APART = 10.0
+"""Log-likelihood by which one of them must explain the data better than the other one."""
+
+
+def swap_shifts(
+    white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float, added: tuple[str, ...]
+) -> Array:
+    """Return how the logarithms of the parameters move where a twin takes an effect's place.
+
+    An offset may be one of the voltage, or of the current: there it goes through every effect of
+    the current.
+
+    Args:
+        white_box: of one motor.
+        run: its free run at the present values.
+        theta: shape (parameter,): these.
+        noise_a: standard deviation of the residual.
+        added: context nodes that data have added; what the user has named is no question.
+
+    Returns:
+        Shape (twin, parameter): a row for every twin that explains the data as well.
+    """
+    names = [parameter.name for parameter in white_box.parameters]
+    questions = [name for name in added if name in TWINS and TWINS[name] not in names]
+    if not questions:
+        return np.empty((0, len(names)))
+    own = names.index(questions[0])
+    current_a = interval_means(run.current_a)
+    shapes = {
+        LOST_VOLTAGE: np.asarray(forms.EFFECTS[LOST_VOLTAGE].value(current_a, 0.0, 0.0)),
+        OFFSET: np.ones_like(current_a),
+    }
+    amount_v = float(theta[own] + white_box.known_parts[own])
+    twins_v = [shapes[TWINS[names[own]]]]
+    if not white_box.has_rotor:
+        twins_v.append(_current_offset(white_box, run, theta, own))
+    weight = np.sqrt(run.weight)
+    responses = run.response(-np.stack([amount_v * shapes[names[own]], *twins_v])) * weight
+    others = np.column_stack([run.jacobian, *run.further]) * weight[:, None]
+    others = np.delete(others, 1 + own, axis=1)
+    shifts = []
+    for twin, response in enumerate(responses[1:]):
+        columns = np.column_stack([others, response])
+        scale = np.linalg.norm(columns, axis=0) + 1e-300
+        weights = np.linalg.lstsq(columns / scale, responses[0], rcond=1e-9)[0] / scale
+        rest = responses[0] - columns @ weights
+        if 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
+            is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
+            lost = -amount_v / theta[own] if is_other else 0.0
+            coordinates = np.insert(weights[1 : len(names)], own, lost)
+            shift = coordinates - coordinates[0]
+            shift[0] = -coordinates[0]
+            if not is_other:
+                shift[own] = 0.0
+            shifts.append(shift)
+    return np.array(shifts).reshape(-1, len(names))
+
+
+def _current_offset(white_box: WhiteBox, run: FreeRun, theta: Array, own: int) -> Array:
+    """Return the voltage that an offset of the current of 1 A takes, shape (k,)."""
+    current_a = interval_means(run.current_a)
+    measured = interval_means(run.stretch.speed_rad_s[0]) if white_box.speed_measured else None
+    balance = white_box.balances(current_a)[0]
+    signals = balance.signals((current_a,), measured)
+    volts = np.zeros_like(current_a)
+    for place, slope in zip(balance.places, balance.basis_slope(0, signals), strict=True):
+        if place != own:
+            volts = volts + theta[place] * slope
+    return volts
