@@ -125,7 +125,8 @@ def _coloured_loop(judged: Sequence[Trial]) -> Figure:
         for trial in judged
         if scenario_of(trial).group == COLOURED_LOOP
         for name, verdict in trial.verdicts.items()
-        if verdict in ('identified', 'converging') and trial.errors[name] != trial.values[name]
+        if verdict in ('identified', 'converging')
+        and trial.errors.get(name, trial.values[name]) != trial.values[name]
     ]
     share = 100.0 * float(np.mean(within)) if within else None
     return at_least(
@@ -250,4 +251,6 @@ def _cell(trial: Trial, name: str) -> str:
     if name not in trial.verdicts:
         return '-'
     verdict = trial.verdicts[name]
+    if name not in trial.errors:
+        return verdict[:4]
     return f'{verdict[:4]} {100.0 * trial.errors[name]:.3g} ({trial.deviations[name]:.1f})'

@@ -1,0 +1,254 @@
+"""Effects of driver and sensor: added where the data show them, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, recorded
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.identify.result_text import _lines as text_lines
+from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample
+from gray_box_observer.settings.configuration import Configuration
+
+FORWARD = 'R[8,10]D[0.02,0.2]'
+NODES = {'motor.context_nodes': ['inductance', 'resistance']}
+LOSSY = replace(GEAR_MOTOR, brush_drop=0.6)
+THESIS_MOTOR = PlantParameters(
+    inductance=8e-3, resistance=2.0, hysteresis=5.0, torque_constant=0.02, back_emf_constant=0.02
+)
+
+
+def fed(record: Recording, offset_v: float = 0.0, speed: bool = True, **values: object) -> Observer:
+    """Return an observer of a record whose voltage reads too high by an offset."""
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **NODES, **values}))
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]) + offset_v)
+        w = float(record.speed_rad_s[0, k]) if speed else np.nan
+        observer.torque('motor', stamp, float(record.torque_nm[0, k]), w)
+    return observer
+
+
+def values_of(motor: MotorView) -> dict[str, tuple[float, float, str]]:
+    """Return value, standard deviation and verdict by the parameter's name."""
+    estimate = motor.estimate
+    return {
+        p.name: (
+            float(estimate.value[0, j]),
+            float(estimate.std[0, j]),
+            estimate.verdicts[0][j].value,
+        )
+        for j, p in enumerate(estimate.parameters)
+    }
+
+
+@pytest.fixture(scope='module')
+def lossy() -> Observer:
+    """A motor that loses 0.6 V, observed."""
+    return fed(recorded(LOSSY, LIVELY, 2.0, 1))
+
+
+def test_a_lost_voltage_is_added_and_everything_is_right(lossy: Observer) -> None:
+    motor = lossy.motors['motor']
+    assert motor.added_effects == ('brush_drop',)
+    assert motor.effects_reason.startswith('the measured speed and a lost voltage explains')
+    assert motor.fit.verdict.value in ('ok', 'warning')
+    for name, (value, std, verdict) in values_of(motor).items():
+        true = getattr(LOSSY, name)
+        assert verdict == 'identified', name
+        assert abs(value - true) < max(4.0 * std, 0.02 * true), name
+
+
+@pytest.mark.parametrize('offset_v', [0.3, -0.3])
+def test_an_offset_of_either_sign_is_added_and_everything_is_right(offset_v: float) -> None:
+    motor = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1), offset_v).motors['motor']
+    values = values_of(motor)
+    assert motor.added_effects == ('voltage_offset',)
+    assert values['voltage_offset'][0] == pytest.approx(offset_v, abs=0.01)
+    assert values['resistance'][0] == pytest.approx(GEAR_MOTOR.resistance, rel=0.01)
+    assert {verdict for *_, verdict in values.values()} == {'identified'}
+
+
+def test_what_is_not_there_is_not_added() -> None:
+    one = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1)).motors['motor']
+    other = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1), **{'motor.effects': 'none'}).motors['motor']
+    assert one.added_effects == ()
+    assert one.estimate.value.tobytes() == other.estimate.value.tobytes()
+    assert one.estimate.covariance.tobytes() == other.estimate.covariance.tobytes()
+
+
+def test_a_motor_of_the_thesis_may_lose_a_voltage_too() -> None:
+    record = recorded(replace(THESIS_MOTOR, brush_drop=0.6), LIVELY, 4.0, 1)
+    motor = fed(record, speed=False, **{'motor.context_nodes': [*NODES_OF_THESIS]}).motors['motor']
+    values = values_of(motor)
+    assert motor.white_box.speed_source == 'torque_constant'
+    assert motor.added_effects == ('brush_drop',)
+    assert values['resistance'][0] == pytest.approx(2.0, rel=0.02)
+    assert values['brush_drop'][0] == pytest.approx(0.6, rel=0.05)
+
+
+NODES_OF_THESIS = ('inductance', 'resistance', 'hysteresis')
+
+
+@pytest.mark.parametrize(
+    ('values', 'why'),
+    [
+        ({'motor.effects': 'none'}, 'as configured'),
+        ({'motor.delay': 'estimate'}, 'the delay is estimated'),
+        ({'context_update': 'gradient'}, 'context_update is gradient'),
+    ],
+)
+def test_where_nothing_may_be_added_the_reason_is_given(
+    values: dict[str, object], why: str
+) -> None:
+    motor = fed(recorded(LOSSY, LIVELY, 0.5, 1), **values).motors['motor']
+    assert motor.added_effects == ()
+    assert why in motor.effects_reason
+
+
+def test_what_is_known_or_named_is_not_added() -> None:
+    known = {'motor.brush_drop': 0.6, 'motor.known.voltage_offset': -0.1}
+    motors = [Configuration.from_flat(known).motors['motor']]
+    choice = motor_observer(
+        Configuration.from_flat(known), motors, None, speed_measured=True
+    ).form_choice
+    assert not choice.is_open
+
+
+@pytest.mark.parametrize('record', [LOSSY, GEAR_MOTOR])
+def test_while_the_current_keeps_its_sign_nothing_leans_on_the_choice(
+    record: PlantParameters,
+) -> None:
+    offset_v = 0.6 if record is GEAR_MOTOR else 0.0
+    motor = fed(recorded(replace(record, coulomb_friction=0.03), FORWARD, 2.0, 2), offset_v)
+    view = motor.motors['motor']
+    values = values_of(view)
+    assert len(view.added_effects) == 1
+    value, std, verdict = values[view.added_effects[0]]
+    assert verdict not in ('identified', 'negligible')
+    assert std > 0.9 * abs(value) or std > 0.1
+    assert values['resistance'][0] == pytest.approx(GEAR_MOTOR.resistance, rel=0.02)
+    assert values['resistance'][2] == 'identified'
+    assert not view.estimate.identified(0)
+
+
+def made(**values: object) -> MotorObserver:
+    """Return a motor that has learnt nothing, its predictor left out."""
+    configuration = Configuration.from_flat({**CONSTANTS, **NODES, **values})
+    motors = list(configuration.motors.values())
+    return motor_observer(configuration, motors, None, speed_measured=True)
+
+
+def samples_of(record: Recording) -> list[Sample]:
+    """Return samples with their speed as pairing would make them."""
+    return [
+        Sample.of_one_motor(
+            stamp,
+            1e-3 if k else 0.0,
+            float(record.voltage_v[0, max(k - 1, 0)]),
+            float(record.torque_nm[0, k]),
+            float(record.speed_rad_s[0, k]),
+        )
+        for k, stamp in enumerate(record.stamp_ns.tolist())
+    ]
+
+
+def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
+    through, restored, pieces = made(), [], set()
+    for sample in samples_of(recorded(LOSSY, LIVELY, 2.0, 1)):
+        through.step(sample)
+        for other in restored:
+            other.step(sample)
+        done = through.state()[0]['speed'].get('trial', {}).get('pieces', -1)
+        if done >= 0 and done not in pieces and len(restored) < 4:
+            pieces.add(done)
+            plain, arrays = through.state()
+            restored.append(made())
+            restored[-1].restore(plain, {name: array.copy() for name, array in arrays.items()})
+    assert through.form_choice.kind.effects == ('brush_drop',)
+    assert restored
+    one = through.estimate()
+    for motor in restored:
+        other = motor.estimate()
+        assert one.value.tobytes() == other.value.tobytes()
+        assert one.covariance.tobytes() == other.covariance.tobytes()
+        assert through.state()[0]['speed'] == motor.state()[0]['speed']
+
+
+def test_a_restored_motor_has_the_effects_that_it_had(lossy: Observer, tmp_path: Path) -> None:
+    path = tmp_path / 'motor.safetensors'
+    checkpoint.save(lossy, path)
+    after = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    checkpoint.load(after, path)
+    motor, before = after.motors['motor'], lossy.motors['motor']
+    assert motor.added_effects == ('brush_drop',)
+    assert motor.effects_reason == before.effects_reason
+    assert motor.estimate.value.tobytes() == before.estimate.value.tobytes()
+    refusing = Observer(Configuration.from_flat({**CONSTANTS, **NODES, 'motor.effects': 'none'}))
+    with pytest.raises(Exception, match='other known constants or terms'):
+        checkpoint.load(refusing, path)
+
+
+@pytest.mark.parametrize(
+    'candidates',
+    [
+        [],
+        'brush_drop',
+        [['measured', 'resistance']],
+        [['rotor']],
+        [['measured', 'brush_drop', 'brush_drop']],
+        [['measured', ['brush_drop']]],
+        [['measured']],
+        [['measured', 'brush_drop']] * 9,
+    ],
+)
+def test_candidates_that_could_not_have_been_are_refused(candidates: object) -> None:
+    motor = made()
+    for sample in samples_of(recorded(LOSSY, LIVELY, 2.0, 1)):
+        motor.step(sample)
+        plain, arrays = motor.state() if not motor.form_choice.is_idle else ({}, {})
+        if 'trial' in plain.get('speed', {}):
+            break
+    trial = {**plain['speed']['trial'], 'candidates': candidates}
+    saved = {**plain, 'speed': {**plain['speed'], 'trial': trial}}
+    with pytest.raises(CheckpointError, match='no forms that could be tried'):
+        made().restore(saved, arrays)
+
+
+def test_the_choice_does_not_depend_on_when_deferred_work_is_done(lossy: Observer) -> None:
+    record = recorded(LOSSY, LIVELY, 2.0, 1)
+    eager = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        eager.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        w = float(record.speed_rad_s[0, k])
+        eager.torque('motor', stamp, float(record.torque_nm[0, k]), w)
+        if 'motor' in eager.motors:
+            eager.motors['motor'].observer.run_deferred()
+    one, other = lossy.motors['motor'].estimate, eager.motors['motor'].estimate
+    assert one.value.tobytes() == other.value.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+
+
+def test_a_kind_in_words() -> None:
+    kind = FormKind('measured', ('brush_drop', 'voltage_offset'))
+    assert kind.in_words == 'the measured speed, a lost voltage and an offset'
+    assert kind.without('brush_drop') == FormKind('measured', ('voltage_offset',))
+
+
+def test_the_text_says_what_was_added() -> None:
+    motor = {
+        'parameters': {}, 'derived': {}, 'speed_source': 'measured', 'speed_source_reason': 'x',
+        'effects': ['brush_drop'], 'effects_reason': 'because', 'alarms': None, 'rejected': {},
+    }  # fmt: skip
+    assert 'effects added      brush_drop: because' in text_lines(motor)
