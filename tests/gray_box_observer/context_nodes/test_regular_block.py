@@ -121,7 +121,8 @@ def test_every_term_is_compiled_as_it_is_declared() -> None:
             for measured, slope in enumerate((form.total_slope, form.partial[State.CURRENT])):
                 library.term_values(code, measured, current, speed, constant, values)
                 declared = [function(current, speed, constant) for function in (form.value, slope)]
-                np.testing.assert_allclose(list(values), declared, rtol=1e-15, err_msg=name)
+                # the slope of a softened sign is a small difference of large numbers
+                np.testing.assert_allclose(list(values), declared, rtol=1e-13, err_msg=name)
 
 
 @needs_it

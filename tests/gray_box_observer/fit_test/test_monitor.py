@@ -74,7 +74,7 @@ def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> N
 def test_the_remedy_for_an_offset_takes_it_off() -> None:
     record = _healthy()
     spoilt = Record(record.voltage_v, record.current_a + 0.3)
-    suspect = spoilt.observed().motors['motor'].fit.suspects[0]
+    suspect = spoilt.observed(effects='none').motors['motor'].fit.suspects[0]
     assert suspect.effect == 'current_offset'
     offset_nm = float(suspect.remedy.split(':')[1].split('(')[0])
     assert offset_nm == pytest.approx(-0.3 * TORQUE_CONSTANT, rel=0.1)

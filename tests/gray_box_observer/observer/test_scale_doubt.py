@@ -61,6 +61,7 @@ WHEEL = {
     'motor__context_nodes': ['inductance', 'resistance'],
     'motor__torque_constant': KT,
     'motor__back_emf_constant': KT,
+    'motor__effects': 'none',  # an offset may explain a part of a voltage that is wrong
 }
 
 

@@ -19,11 +19,9 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
-from gray_box_observer.fit_test.held_voltage import is_held
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -57,9 +55,6 @@ FEWEST_STEEP = 20
 SCATTERED = 2.0
 """Times the other residuals, by their medians, that these must be: in white noise they reach 1.6.
 """
-
-PRIOR_OFFSET_V = TERMS['brush_drop'].parameter.initial
-"""Standard deviation of the voltage that brushes or driver may take of a level in V."""
 
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
@@ -102,8 +97,6 @@ class ResidualAnalysis:
             large in steep parts of the current as in flat ones.
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
-        offset_shift: shape (parameter,): by how much they would move if the voltage had an offset
-            that a held voltage does not tell; zero where the voltage moves.
         swap_shifts: shape (twin, parameter): by how much the logarithms of the parameters would
             move with each effect that looks like an added one.
     """
@@ -119,7 +112,6 @@ class ResidualAnalysis:
     intervals: float
     jitter: float
     moving_noise_a: float
-    offset_shift: Array
     swap_shifts: Array
 
 
@@ -194,7 +186,6 @@ def analyse(
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
-        offset_shift=_offset_effect(white_box, run, projection, weight, noise_a),
         swap_shifts=swap_shifts(white_box, run, to_parameters(p)[0], noise_a, added_effects),
     )
 
@@ -222,25 +213,6 @@ def _delay_effect(
     least_a = math.sqrt(DISTINCT * float(response @ response))
     std = noise_a / size_a if size_a > least_a else math.inf
     return -projection.shift(response), std
-
-
-def _offset_effect(
-    white_box: WhiteBox, run: FreeRun, projection: _Projection, weight: Array, noise_a: float
-) -> Array:
-    """Return what an offset does to the log-parameters that a held voltage does not tell.
-
-    Where the speed is measured, resistance and back-EMF take their part of one level. Brushes or
-    driver may have taken some of it, as much as the prior of a lost voltage says.
-    """
-    voltage_v = run.stretch.voltage_v[0]
-    nothing = np.zeros(len(white_box.parameters))
-    if not white_box.speed_measured or not is_held(voltage_v):
-        return nothing
-    response = run.response(-np.ones((1, voltage_v.size)))[0] * weight
-    distinct = projection.without(response)
-    information = PRIOR_OFFSET_V**-2.0 + float(distinct @ distinct) / noise_a**2
-    shift: Array = projection.shift(response) / math.sqrt(information)
-    return shift if np.isfinite(shift).all() else nothing
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:

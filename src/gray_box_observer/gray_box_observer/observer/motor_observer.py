@@ -458,6 +458,8 @@ class MotorObserver:
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
+        if self._belief.level is not None:
+            content['voltage_moved'] = self._belief.level.has_moved
         alarm = {} if self.alarm is None else self.alarm.state(motor)
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
         return content, {
@@ -492,6 +494,8 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
+        if self._belief.level is not None and 'voltage_moved' in plain:
+            self._belief.level.has_moved = flag(plain, 'voltage_moved')
         place = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if 'speed' in plain:  # not in files of releases that knew no choice

@@ -17,6 +17,7 @@ from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
 
@@ -37,6 +38,7 @@ class ParameterBelief:
         is_identified: shape (motor,): whether all of theta was identified, before a freeze.
         known_flags: shape (motor, published parameter): the same of every published parameter.
         mechanics: names of the published parameters of a measured rotor.
+        level: doubts a voltage that has never moved; None of many motors, or without speed.
     """
 
     def __init__(self, form: MotorForm) -> None:
@@ -56,6 +58,10 @@ class ParameterBelief:
         self.covariance: Array = np.zeros((motors, electrical, electrical))
         self._fit = form.fit
         self._scales = form.scales
+        self.level: LevelDoubt | None = None
+        if motors == 1 and form.white_box.speed_measured:
+            is_exact = bool(form.fit.configuration(0).values['stamps_exact'])
+            self.level = LevelDoubt(form.white_box, stamps_exact=is_exact)
         self._known_parts = form.white_box.known_parts
         self._places = np.arange(motors)
 
@@ -81,6 +87,8 @@ class ParameterBelief:
         if self._scales is not None:
             rules = nodes.verdict_rules
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
+        if self.level is not None:
+            estimate = self.level.widened(nodes, estimate, nodes.verdict_rules)
         return estimate.with_known_parts(self._known_parts)
 
     def keep(self, estimate: Estimate, motors: Any, *, is_frozen: bool) -> None:

@@ -92,7 +92,7 @@ class ScaleDoubt:
                 covariance[row] += gain.relative_std**2 * np.outer(direction, direction)
             relative_std = np.sqrt(np.diagonal(covariance[row])) / value
             verdicts[row] = tuple(
-                _limited(verdict, std, rules)
+                limited(verdict, std, rules)
                 for verdict, std in zip(verdicts[row], relative_std.tolist(), strict=True)
             )
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
@@ -172,7 +172,7 @@ def _shifts_of_constant(configuration: Configuration, white_box: MotorWhiteBox) 
     return {'N m': 1, 'rad': 1} if follows_current else {'N m': 1}
 
 
-def _limited(verdict: Verdict, relative_std: float, rules: VerdictSettings) -> Verdict:
+def limited(verdict: Verdict, relative_std: float, rules: VerdictSettings) -> Verdict:
     """Return the verdict that a standard deviation allows at most."""
     if verdict not in (Verdict.IDENTIFIED, Verdict.CONVERGING):
         return verdict
