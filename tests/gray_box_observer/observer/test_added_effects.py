@@ -62,7 +62,7 @@ def lossy() -> Observer:
 def test_a_lost_voltage_is_added_and_everything_is_right(lossy: Observer) -> None:
     motor = lossy.motors['motor']
     assert motor.added_effects == ('brush_drop',)
-    assert motor.effects_reason.startswith('the measured speed and a lost voltage explains')
+    assert motor.effects_reason.startswith('the measured speed with a lost voltage explains')
     assert motor.fit.verdict.value in ('ok', 'warning')
     for name, (value, std, verdict) in values_of(motor).items():
         true = getattr(LOSSY, name)
@@ -242,7 +242,7 @@ def test_the_choice_does_not_depend_on_when_deferred_work_is_done(lossy: Observe
 
 def test_a_kind_in_words() -> None:
     kind = FormKind('measured', ('brush_drop', 'voltage_offset'))
-    assert kind.in_words == 'the measured speed, a lost voltage and an offset'
+    assert kind.in_words == 'the measured speed with a lost voltage and an offset'
     assert kind.without('brush_drop') == FormKind('measured', ('voltage_offset',))
 
 

@@ -24,7 +24,7 @@ TOLD_APART = 10.0
 
 
 def swap_shifts(
-    white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float, added: tuple[str, ...]
+    white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float, added_effects: tuple[str, ...]
 ) -> Array:
     """Return how the logarithms of the parameters move where a twin takes an effect's place.
 
@@ -36,13 +36,13 @@ def swap_shifts(
         run: its free run at the present values.
         theta: shape (parameter,): these.
         noise_a: standard deviation of the residual.
-        added: context nodes that data have added; what the user has named is no question.
+        added_effects: context nodes that data have added; what the user has named is no question.
 
     Returns:
         Shape (twin, parameter): a row for every twin that explains the data as well.
     """
     names = [parameter.name for parameter in white_box.parameters]
-    questions = [name for name in added if name in TWINS and TWINS[name] not in names]
+    questions = [name for name in added_effects if name in TWINS and TWINS[name] not in names]
     if not questions:
         return np.empty((0, len(names)))
     own = names.index(questions[0])
@@ -67,8 +67,8 @@ def swap_shifts(
         rest = responses[0] - columns @ weights
         if 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
             is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
-            lost = -amount_v / theta[own] if is_other else 0.0
-            coordinates = np.insert(weights[1 : len(names)], own, lost)
+            own_shift = -amount_v / theta[own] if is_other else 0.0
+            coordinates = np.insert(weights[1 : len(names)], own, own_shift)
             shift = coordinates - coordinates[0]
             shift[0] = -coordinates[0]
             if not is_other:
@@ -80,9 +80,11 @@ def swap_shifts(
 def _current_offset(white_box: WhiteBox, run: FreeRun, theta: Array, own: int) -> Array:
     """Return the voltage that an offset of the current of 1 A takes, shape (k,)."""
     current_a = interval_means(run.current_a)
-    measured = interval_means(run.stretch.speed_rad_s[0]) if white_box.speed_measured else None
+    measured_rad_s = (
+        interval_means(run.stretch.speed_rad_s[0]) if white_box.speed_measured else None
+    )
     balance = white_box.balances(current_a)[0]
-    signals = balance.signals((current_a,), measured)
+    signals = balance.signals((current_a,), measured_rad_s)
     volts = np.zeros_like(current_a)
     for place, slope in zip(balance.places, balance.basis_slope(0, signals), strict=True):
         if place != own:

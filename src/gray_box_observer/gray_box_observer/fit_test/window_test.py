@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,10 +15,9 @@ from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
-from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, REMEDIES
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, REMEDIES
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
-from gray_box_observer.fit_test.held_voltage import is_held
 from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
@@ -33,6 +33,8 @@ from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analy
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
+from gray_box_observer.fit_test.twin_effects import OFFSET
+from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -243,6 +245,8 @@ class WindowTest:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             if judgement.verdict is not FitVerdict.OK:
                 suspects = suspects + self._suspects(analysis, candidates)
+            if judgement.verdict is FitVerdict.MISFIT and not finding.suspects:
+                suspects = self._offsets(motor, analysis) + suspects
         delay = finding.delay_suspect
         if delay is not None:
             suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
@@ -289,6 +293,22 @@ class WindowTest:
             return None
         evidence = 0.5 * (delay.value_s / max(delay.std_s, 1e-12)) ** 2
         return Suspect('delay', evidence, f'{name}.delay: {delay.value_s:.3g}')
+
+    def _offsets(self, motor: MotorUnderTest, analysis: ResidualAnalysis) -> list[Suspect]:
+        """Name an offset of the current where one of the voltage was added and does not suffice."""
+        if OFFSET not in self.configuration.added_effects:
+            return []
+        theta = motor.estimate.value[0]
+        values = self.white_box.values(theta)
+        amount_v = values[OFFSET]
+        explanation = Explanation(
+            EFFECTS['current_offset'],
+            analysis.whiteness,
+            amount_v,
+            amount_v,
+            values.get('resistance', math.nan),
+        )
+        return [explanation.suspect(self.configuration.name, float(self.white_box.torque_constant))]
 
     def _suspects(
         self, analysis: ResidualAnalysis, candidates: Mapping[str, Explanation]

@@ -324,15 +324,15 @@ def _saved_candidates(
         CheckpointError: they are none that could be tried.
     """
     if 'candidates' in plain:
-        saved = entry(plain, 'candidates')
+        entries = entry(plain, 'candidates')
     else:  # of a release that tried the source of the speed alone
         other = kind.with_other_source
-        saved = [] if other is None else [[other.source]]
-    if isinstance(saved, list) and 0 < len(saved) <= MOST_CANDIDATES:
+        entries = [] if other is None else [[other.source]]
+    if isinstance(entries, list) and 0 < len(entries) <= MOST_CANDIDATES:
         kinds = tuple(
-            FormKind(one[0], tuple(one[1:])) for one in saved if isinstance(one, list) and one
+            FormKind(one[0], tuple(one[1:])) for one in entries if isinstance(one, list) and one
         )
-        if len(kinds) == len(saved) and kind not in kinds and all(map(may_try, kinds)):
+        if len(kinds) == len(entries) and kind not in kinds and all(map(may_try, kinds)):
             return kinds
     raise CheckpointError('speed.trial.candidates are no forms that could be tried')
 

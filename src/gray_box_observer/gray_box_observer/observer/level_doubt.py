@@ -1,9 +1,9 @@
 """Doubt about a voltage that has never moved: brushes or driver may have taken a part of the level.
 
 Where the speed is measured, resistance and back-EMF share the level, and no residual tells what is
-lost of it. The only transient began before the data or with them, so that L leans on an instant that
-is known to half a sample interval. Both go into the covariance where estimates are made known, until
-the voltage moves.
+lost of it. The only transient began before the data or with them, so that L leans on an instant
+that is known to half a sample interval. Both go into the covariance where estimates are made known,
+until the voltage moves.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
-from gray_box_observer.fit_test.held_voltage import is_held
 from gray_box_observer.fit_test.policy import UNIFORM_STD
+from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.observer.scale_doubt import limited
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox

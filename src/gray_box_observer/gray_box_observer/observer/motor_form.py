@@ -57,8 +57,8 @@ class FormKind:
     @property
     def in_words(self) -> str:
         """What it is called in a sentence."""
-        *others, last = [_IN_WORDS[name] for name in (self.source, *self.effects)]
-        return f'{", ".join(others)} and {last}' if others else last
+        effects_text = ' and '.join(_IN_WORDS[name] for name in self.effects)
+        return _IN_WORDS[self.source] + (f' with {effects_text}' if effects_text else '')
 
     @property
     def with_other_source(self) -> FormKind | None:

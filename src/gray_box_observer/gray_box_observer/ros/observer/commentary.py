@@ -161,8 +161,8 @@ class Commentary:
             choice = motor.observer.form_choice
             if choice.is_open and motor.added_effects != self._effects.get(name, ()):
                 self._effects[name] = motor.added_effects
-                added = ' and '.join(motor.added_effects) or 'no effects'
-                phrases.append(f'{name}: {added} added: {motor.effects_reason}')
+                effect_names = ' and '.join(motor.added_effects) or 'no effects'
+                phrases.append(f'{name}: {effect_names} added: {motor.effects_reason}')
             if not choice.speed_is_open:
                 continue
             source = motor.white_box.speed_source

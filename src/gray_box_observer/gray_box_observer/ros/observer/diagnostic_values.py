@@ -23,8 +23,8 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     values.update(_estimates(view.estimate))
     values.update(_fit(view.fit))
     values['speed source'] = f'{view.white_box.speed_source}: {view.speed_reason}'
-    added = ', '.join(view.added_effects) or 'none'
-    values['effects added'] = f'{added}: {view.effects_reason}'
+    effect_names = ', '.join(view.added_effects) or 'none'
+    values['effects added'] = f'{effect_names}: {view.effects_reason}'
     if view.speed is not None:
         values['speed [rad/s]'] = _text(view.speed.speed_rad_s)
         values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
