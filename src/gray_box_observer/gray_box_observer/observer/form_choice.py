@@ -5,7 +5,7 @@ effects of their own: a voltage that is lost, an offset. Where the fit test reje
 force, what it suspects is fitted to what is remembered, as a trial beside the estimate that is out
 (`form_trial.py`). Trials come at counts of samples, ever further apart, and are done piece by piece
 at the samples that follow, so that every door leads to the same choice
-(docs/METHOD.md, Which speed and Which effects).
+(docs/METHOD.md, Which speed; docs/METHOD.md, Which effects).
 """
 
 from __future__ import annotations

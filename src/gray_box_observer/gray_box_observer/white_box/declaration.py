@@ -1,10 +1,10 @@
 """The motor, declared only here: its states, its signals, and one entry for every effect.
 
 ``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i) + V_0``, thesis equations 4.1, 4.2 and 4.4
-with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a
-brush drop and an offset beside them (docs/METHOD.md, The form). A motor whose inertia is a context
-node has a second balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The
-whole motor).
+with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants. A brush
+drop and an offset stand beside them (docs/METHOD.md, The form). A motor whose inertia is a context
+node has a second balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load``
+(docs/METHOD.md, The whole motor).
 
 A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators,
 numbers, ``abs`` and ``sign``. ``make physics`` differentiates the formulas and writes the forms
