@@ -89,7 +89,8 @@ interval. A voltage that was sampled and not held acts so much later than it is 
 tell the instant well; smooth voltages do not."""
 
 FAR_UNTOLD_DELAY = 0.15
-"""The same from which few samples are enough: moves of the voltage have come, and have not told."""
+"""The same from which few samples are enough where the speed is measured, so that little is asked for
+a first test: moves of the voltage have come, and have not told."""
 
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
@@ -183,7 +184,8 @@ def judge(
     if not stamps_exact:
         fully, from_here = SHORTEST
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
-        late += UNIFORM_STD if _is_delay_untold(analysis) else share * UNIFORM_STD
+        is_untold = _is_delay_untold(analysis, speed_measured=speed_measured)
+        late += UNIFORM_STD if is_untold else share * UNIFORM_STD
     delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(delay_effect, delay_effect)
     for unknown_shift in analysis.swap_shifts:
@@ -211,14 +213,14 @@ def shows_change(analysis: ResidualAnalysis) -> bool:
     return analysis.ratio > RATIO_DOUBT and analysis.whiteness > WHITENESS_DOUBT
 
 
-def _is_delay_untold(analysis: ResidualAnalysis) -> bool:
+def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> bool:
     """Tell whether half an interval of delay may pass unseen, and would falsify the inductance.
 
     A voltage that moves smoothly and acts d later looks like one that acts at once on L - R d.
     """
     moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
     is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay_std > UNTOLD_DELAY
-    is_open = FAR_UNTOLD_DELAY < analysis.delay_std < math.inf
+    is_open = speed_measured and FAR_UNTOLD_DELAY < analysis.delay_std < math.inf
     return (is_smooth or is_open) and moves_inductance
 
 

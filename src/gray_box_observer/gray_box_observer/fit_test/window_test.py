@@ -241,7 +241,9 @@ class WindowTest:
                     self.white_box, SampleWindow.of_content(self.white_box, motor.content())
                 )
             )
-            if _clearest(candidates) > VERY_CLEARLY:
+            is_added = bool(self.configuration.added_effects)
+            is_warned = judgement.verdict is FitVerdict.WARNING
+            if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             if judgement.verdict is not FitVerdict.OK:
                 suspects = suspects + self._suspects(analysis, candidates)
