@@ -277,19 +277,41 @@ def test_the_report_says_what_was_taken_as_known(identify: Run, bag: Path, tmp_p
 def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
     params.write_text(
-        '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n    '
-        'gap: 1.0\n'
+        '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n'
     )
     code, out, said = identify(bag, '--params', params, '--json', '-', '--skip-predictor')
     assert code == 0
     assert 'warning: parameter publish_rate is none of the observer' in said
-    assert (
-        'warning: parameter gap is none of the observer (did you mean gap_s?); it is ignored'
-        in said
-    )
     assert json.loads(out)['motors']['motor']['parameters']['inductance']['value'] == pytest.approx(
         1.0, rel=0.03
     )
+
+
+@pytest.mark.parametrize('options', [(), ('--each',)], ids=['one recording', 'each bag'])
+def test_a_mistyped_parameter_is_refused_as_the_node_does(
+    identify: Run, bag: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters: {gap: 1.0, motor: {torque_konstant: 0.02}}\n')
+    code, out, said = identify(bag, '--params', params, '--skip-predictor', *options)
+    assert (code, out) == (2, '')
+    assert one_line(said) == (
+        'identify: error: not parameters of the observer: gap (did you mean gap_s?), '
+        'motor.torque_konstant (did you mean motor.torque_constant?); observer --help lists them'
+    )
+
+
+def test_the_sections_of_other_nodes_are_their_own(
+    identify: Run, bag: Path, tmp_path: Path
+) -> None:
+    params = tmp_path / 'p.yaml'
+    sections = ('/**', 'motor: {torque_constant: 0.01}'), ('wall_follower', 'gap: 1.0')
+    params.write_text(
+        ''.join(f'{name}:\n  ros__parameters: {{{content}}}\n' for name, content in sections)
+    )
+    code, _, said = identify(bag, '--params', params, '--json', '-', '--skip-predictor')
+    assert code == 0
+    assert 'gap' not in said
 
 
 def test_help_names_every_option_and_says_what_the_command_does(

@@ -153,9 +153,8 @@ def _run(options: argparse.Namespace) -> int:
         from gray_box_observer.identify.archive import archive_command
 
         parameter_values = read_parameter_file(options.params) if options.params else {}
-        _warn_of_unknown(
-            Configuration.from_flat(parameter_values)
-        )  # what is wrong with the file is no bag's fault
+        # what is wrong with the file is no bag's fault
+        _settle_unknown(Configuration.from_flat(parameter_values))
         return archive_command.run(options, parameter_values)
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
@@ -203,7 +202,13 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
         raise
 
 
-def _warn_of_unknown(configuration: Configuration) -> None:
+def _settle_unknown(configuration: Configuration) -> None:
+    """Refuse mistyped parameters; warn of others that the observer does not have.
+
+    Raises:
+        ConfigurationError: a name is a slip of a parameter.
+    """
+    configuration.require_no_slips()
     for name in configuration.unknown[:MOST_NAMED]:
         near = nearest(name, configuration.alike(name))
         suggestion = f' (did you mean {near}?)' if near else ''
@@ -218,7 +223,7 @@ def _warn_of_unknown(configuration: Configuration) -> None:
 
 def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     """Run the observer over the bags, and say what it found; return the exit code."""
-    _warn_of_unknown(configuration)
+    _settle_unknown(configuration)
     if options.validate:
         _require_validation(options, configuration)
     training = None if options.skip_predictor else InlineTraining

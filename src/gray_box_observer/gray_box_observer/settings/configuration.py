@@ -17,6 +17,7 @@ from gray_box_observer.settings.motor_configuration import (
     expanded,
     names_stated,
 )
+from gray_box_observer.settings.parameter_names import in_words, slip_of
 from gray_box_observer.settings.parameters import (
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
@@ -241,6 +242,19 @@ class Configuration:
         return candidates + [
             f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS
         ]
+
+    def require_no_slips(self) -> None:
+        """Refuse unknown names that are slips of declared ones, as the node does.
+
+        Raises:
+            ConfigurationError: there are such names; it gives the nearest of each.
+        """
+        slips = {name: near for name in self.unknown if (near := slip_of(name, self.alike(name)))}
+        if slips:
+            kind = 'parameters' if len(slips) > 1 else 'a parameter'
+            raise ConfigurationError(
+                f'not {kind} of the observer: {in_words(slips)}; observer --help lists them'
+            )
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
