@@ -105,7 +105,7 @@ def test_a_mistake_makes_a_misfit_that_the_tutorial_names(
     believed = {'identified', 'negligible'} & {p['verdict'] for p in motor['parameters'].values()}
     assert not believed
     assert 'Believe none of the parameters' in said
-    assert f'likely left out: {named}' in TUTORIAL.read_text(encoding='utf-8')
+    assert f'likely cause: {named}' in TUTORIAL.read_text(encoding='utf-8')
 
 
 def test_without_speed_the_rotor_is_found(run):

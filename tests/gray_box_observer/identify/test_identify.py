@@ -134,7 +134,7 @@ def test_a_fault_is_an_alarm_in_json_table_and_report(
     assert alarms['raised'] == 1
     assert alarms['first_s'] == pytest.approx(12.05, abs=0.05)
     when = f'{alarms["first_s"]:.2f} s'
-    assert f'alarms: 1, first at {when}' in out
+    assert re.search(rf'alarms +1 raised, first at {when}', out)
     assert f'motor motor: alarm at {when}, 1 in all: torque is not what voltage' in said
     assert f'Alarm at {when}: torque is not what voltage' in report.read_text()
 

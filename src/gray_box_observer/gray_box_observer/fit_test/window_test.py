@@ -13,7 +13,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_ST
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, REMEDIES
@@ -67,9 +67,6 @@ NOISE_RANGE = 10.0
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
 small residual; else the free run is asked."""
-
-MILD = 1.5
-"""Residual over noise floor up to which it is small."""
 
 
 @dataclass(frozen=True, slots=True)

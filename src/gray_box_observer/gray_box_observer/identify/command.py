@@ -227,6 +227,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     if options.validate:
         _require_validation(options, configuration)
     training = None if options.skip_predictor else InlineTraining
+    shows_text = options.json != '-'
     collector = _collector(options) if options.report else None
     rivals = Training() if options.validate else None
     listeners = [listener for listener in (collector, rivals) if listener is not None]
@@ -241,7 +242,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
             options.bags, configuration, training, listen if listeners else None, update, limits
         )
         result = describe(outcome)
-        warnings = [*warnings_of(outcome), *assumptions_of(outcome)]
+        warnings = [*warnings_of(outcome, with_fits=not shows_text), *assumptions_of(outcome)]
         histories = () if collector is None else _histories(collector, outcome, result)
         if rivals is not None:
             warning_count = len(outcome.warnings)
@@ -256,7 +257,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         write_json(result, options.json)
     if collector is not None and result['motors']:
         _write_report(options, outcome, result, histories)
-    if options.json != '-':
+    if shows_text:
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
         with readers_may_leave(sys.stdout):
             write_text(result, fits, sys.stdout)

@@ -26,6 +26,8 @@ from gray_box_observer.identify.archive.serial_engine import SerialEngine
 from gray_box_observer.identify.archive.trends import digest_of, gather
 from gray_box_observer.identify.options import read_limits
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.result_text import RIGHT, parameter_cells
+from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.report.trend.trend import ArchiveHistory, MotorTrend
 from gray_box_observer.report.trend.trend_page import drift_words, write_trend_report
@@ -185,13 +187,16 @@ def _print_trends(
     print(f'{len(results)} bags, {failure_count} without result', file=stream)
     for motor in motors:
         print(f'{printable(motor.name)}: {len(motor.parameters[0].value)} bags', file=stream)
-        for trend in motor.parameters:
-            value, std = trend.value[-1], trend.std[-1]
-            trend_text = (
-                f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} '
-                'in the last'
-            )
-            print(f'  {trend_text}; change: {drift_words(trend.drift())}', file=stream)
+        rows = [
+            [
+                *parameter_cells(trend.name, trend.value[-1], trend.std[-1], trend.unit),
+                f'{trend.verdict[-1]} in the last',
+                f'change: {drift_words(trend.drift())}',
+            ]
+            for trend in motor.parameters
+        ]
+        for line in aligned(rows, RIGHT):
+            print(f'  {line}', file=stream)
 
 
 @contextmanager
