@@ -25,7 +25,7 @@ from gray_box_observer.settings.parameters import (
     ParameterSpec,
 )
 from gray_box_observer.settings.ros_parameter_file import read_parameter_file
-from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
+from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS, TORQUE_CONSTANT
 from gray_box_observer.settings.signal_sources import (
     Feed,
     check_reading,
@@ -200,6 +200,8 @@ class Configuration:
             for spec in MOTOR_PARAMETERS
         }
         motors = configured_motors(names, unread_values, common, shared_names)
+        if _reads_current(values):
+            motors = {name: replace(motor, reads_current=True) for name, motor in motors.items()}
         check_joints(motors)
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(unread_values)))
@@ -268,6 +270,13 @@ class Configuration:
 
 def _is_foreign(name: str) -> bool:
     return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
+
+
+def _reads_current(values: Mapping[str, Any]) -> bool:
+    """Tell whether torque is read as a current, which Kt makes a torque."""
+    return (
+        values['torque.quantity'] == 'current' or TORQUE_CONSTANT in values['torque.expression']
+    )
 
 
 def _check_signal(name: str, values: Mapping[str, Any]) -> None:

@@ -43,11 +43,14 @@ class MotorConfiguration:
         values: by the names of MOTOR_PARAMETERS.
         stated_names: names of those that the user has stated; the others have their defaults, which
             say nothing of it.
+        reads_current: whether its torque is read as a current, so that Kt scales no estimate of
+            the voltage balance but those of its speed.
     """
 
     name: str
     values: Mapping[str, Any]
     stated_names: frozenset[str] = frozenset()
+    reads_current: bool = False
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
