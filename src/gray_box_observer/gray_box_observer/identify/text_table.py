@@ -18,11 +18,11 @@ def aligned(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[
         right: places of the columns that are aligned to the right, as numbers are.
     """
     columns = zip_longest(*(row[:-1] for row in rows), fillvalue='')
-    widths = [max(map(len, column)) for column in columns]
+    widths = [max(map(len, column)) for column in columns] + [0]
     return [
         GAP.join(
             _cell(text, width, is_right=place in right)
-            for place, (text, width) in enumerate(zip_longest(row, widths[: len(row)], fillvalue=0))
+            for place, (text, width) in enumerate(zip(row, widths, strict=False))
         ).rstrip()
         for row in rows
     ]
