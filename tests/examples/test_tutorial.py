@@ -123,8 +123,12 @@ def test_without_speed_the_rotor_is_found(run):
 def test_milliseconds_for_seconds_are_refused_with_the_remedy(run, tmp_path: Path):
     code, _, said = run(time='t_s*1000')
     assert code == 2
-    assert 'further than gap_s of 0.5 s' in said
-    assert 'such as time=t_ms[ms]' in said
+    assert said.count('\n') == 1
+    assert 'if the time is in ms, write time=(t_s*1000)*1e-3' in said
+    assert said.partition(': its rows')[2].split()[:3] == ['are', '1', 's']
+    assert 'if the time is in ms, write time=(t_s*1000)*1e-3' in ' '.join(
+        TUTORIAL.read_text(encoding='utf-8').split()
+    )
     assert not (tmp_path / 'bag').exists()
 
 

@@ -217,7 +217,7 @@ def test_an_asked_for_delay_is_found_applied_and_reported(
     assert motor['parameters']['inductance']['value'] == pytest.approx(0.5, rel=0.01)
     assert 'The delay from voltage to torque is estimated: ' in report.read_text(encoding='utf-8')
     assert (
-        ' s found in the data, applied 0.0'
+        ' s found in the data; 0.0'
         in identify(early, '--skip-predictor', '--params', params)[1]
     )
 

@@ -174,6 +174,8 @@ def _every_bag(options: argparse.Namespace) -> list[Path]:
 
 def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any]) -> int:
     """Make bags of CSV logs and run the observer over them; a failed run leaves no bag."""
+    from gray_box_observer.csv_import.log_conversion import csv_to_bag
+
     count = len(options.from_csv)
     if len(options.bags) != count or not options.columns:
         bag_phrase = 'exactly one BAG' if count == 1 else f'exactly {count} BAGs'
@@ -188,9 +190,10 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
     try:
         with ended_by_exception():
             for log, bag in zip(options.from_csv, options.bags, strict=True):
-                summary = _convert(log, bag, mapping)
+                summary = csv_to_bag(log, bag, mapping)
                 new_bags.append(bag)
-                _refuse_gaps(log, summary, configuration)
+                _refuse_gaps(log, summary, mapping, configuration)
+                _tell_summary(log, bag, summary)
                 mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
             return _identify(options, configuration)
     except BaseException:  # the next try must not find the folders in its way
@@ -298,22 +301,28 @@ def _collector(options: argparse.Namespace) -> Collector:
     return Collector(truth)
 
 
-def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -> None:
-    """Refuse a log without consecutive samples: its time is in another unit."""
-    if summary.interval_s > configuration['gap_s']:
+def _refuse_gaps(
+    log: Path, summary: CsvSummary, mapping: CsvMapping, configuration: Configuration
+) -> None:
+    """Refuse a log without consecutive samples: its time is likely in another unit.
+
+    Raises:
+        GrayBoxError: the rows are further apart than ``gap_s``.
+    """
+    from gray_box_observer.csv_import.log_doubts import time_remedy
+
+    gap_s = configuration['gap_s']
+    if summary.interval_s > gap_s:
+        remedy = time_remedy(summary.interval_s, mapping.time)
         raise GrayBoxError(
-            f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '
-            f'{configuration["gap_s"]:g} s, '
-            'so that none follows from the one before; if its time is in ms, write such as '
-            'time=t_ms[ms]'
+            f'{log}: its rows are {summary.interval_s:.3g} s apart, and no sample follows another '
+            f'after more than {gap_s:g} s: {remedy + "; " if remedy else ""}if they are right, set '
+            f'gap_s to more than {summary.interval_s:.3g} in --params'
         )
 
 
-def _convert(log: Path, bag: Path, mapping: CsvMapping) -> CsvSummary:
-    """Make the bag of a CSV log, and warn of what looks odd in it."""
-    from gray_box_observer.csv_import.log_conversion import csv_to_bag
-
-    summary = csv_to_bag(log, bag, mapping)
+def _tell_summary(log: Path, bag: Path, summary: CsvSummary) -> None:
+    """Say what became of a CSV log, and warn of what looks odd in it."""
     left_out = summary.filtered_rows + summary.unordered_rows
     _tell(
         f'{log}: {summary.messages} messages of {summary.rows} rows over '
@@ -321,7 +330,6 @@ def _convert(log: Path, bag: Path, mapping: CsvMapping) -> CsvSummary:
     )
     for warning in summary.warnings:
         _tell(f'warning: {warning}')
-    return summary
 
 
 @contextmanager

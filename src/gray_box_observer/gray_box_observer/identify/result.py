@@ -59,8 +59,8 @@ def warnings_of(outcome: Outcome, *, with_fits: bool = True) -> list[str]:
             if course.alarms_s
         ),
         *(
-            f'motor {name}: no sample lies within gap_s of {gap_s:g} s after the one before: '
-            'are its stamps in another unit?'
+            f'motor {name}: no sample follows another within {gap_s:g} s: are its stamps in s? if '
+            'they are, set gap_s to more than the time between two'
             for name, course in outcome.courses.items()
             if course.duration_s == 0.0 and course.last_ns - course.first_ns > gap_s * 1e9
         ),
