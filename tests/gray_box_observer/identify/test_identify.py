@@ -216,10 +216,7 @@ def test_an_asked_for_delay_is_found_applied_and_reported(
     assert motor['delay_s']['applied'] == pytest.approx(0.05, abs=1e-3)
     assert motor['parameters']['inductance']['value'] == pytest.approx(0.5, rel=0.01)
     assert 'The delay from voltage to torque is estimated: ' in report.read_text(encoding='utf-8')
-    assert (
-        ' s found in the data; 0.0'
-        in identify(early, '--skip-predictor', '--params', params)[1]
-    )
+    assert ' s found in the data; 0.0' in identify(early, '--skip-predictor', '--params', params)[1]
 
 
 def test_a_delay_is_not_mentioned_where_nobody_asked_and_there_is_none(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,8 +14,6 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.identify.command import main
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.text_table import aligned
-
-MODERATE = Path(__file__).resolve().parents[3] / 'bags' / 'moderate'
 
 
 def entry(value: float | None, std: float | None, unit: str) -> dict[str, object]:
@@ -72,11 +72,17 @@ def test_the_last_cell_of_a_row_widens_no_column() -> None:
 
 @pytest.mark.parametrize('options', [(), ('--json', '-')], ids=['text', 'json'])
 def test_what_the_fit_test_says_stands_once(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: tuple[str, ...]
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    record: Callable[..., Any],
+    messages_of: Any,
+    write_bag: Callable[..., Path],
+    options: tuple[str, ...],
 ) -> None:
+    bag = write_bag(tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,1]', 5.0)))
     params = tmp_path / 'p.yaml'
     params.write_text('/**: {ros__parameters: {torque: {scale: 1000.0}}}')
-    words = ['identify', str(MODERATE), '--params', str(params), '--skip-predictor', *options]
+    words = ['identify', str(bag), '--params', str(params), '--skip-predictor', *options]
     assert main(words) == 0
     out, err = capsys.readouterr()
     assert len(re.findall('Believe none of the parameters', out + err)) == 1

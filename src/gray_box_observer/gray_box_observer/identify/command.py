@@ -23,6 +23,7 @@ from gray_box_observer.identify.archive.archive_options import between
 from gray_box_observer.identify.ending import ended_by_exception
 from gray_box_observer.identify.options import configure, read_limits, read_mapping
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.requirement import EXIT_UNMET, REQUIREMENTS, shortfalls
 from gray_box_observer.identify.result import assumptions_of, describe, warnings_of
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.validation import Training, validate
@@ -45,6 +46,13 @@ EXIT_STOPPED = 1
 
 EXIT_USER_ERROR = 2
 
+EXIT_CODES = (
+    '0: it ran to the end, whatever the verdicts are; 1: a defect has stopped a motor; 2: input '
+    'that cannot be used, one line says why; 3: --each, some bags gave nothing; 4: --require is '
+    'not met; 130: interrupted'
+)
+"""What the command ends with, for people."""
+
 MOST_NAMED = 20
 """Unknown parameters that get a line each."""
 
@@ -52,8 +60,7 @@ MOST_NAMED = 20
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; the result is the exit code.
 
-    0 when it ran to the end, 1 where a defect has stopped a motor, 2 for input it cannot use, 3
-    where every bag was read by itself and some gave nothing.
+    :data:`EXIT_CODES` says what it means.
     """
     try:
         words = list(sys.argv if args is None else args)[1:]
@@ -79,7 +86,8 @@ def _parser() -> argparse.ArgumentParser:
         prog='identify',
         description='Run the observer over recorded bags as fast as it can, and say what it '
         'identified.',
-        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
+        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml. '
+        f'Exit codes: {EXIT_CODES}.',
     )
     parser.add_argument(
         'bags', nargs='*', type=Path, metavar='BAG', help='rosbag2 folder or bare .mcap file'
@@ -117,6 +125,13 @@ def _parser() -> argparse.ArgumentParser:
         help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V '
         'current=i_mA*1e-3 '
         'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
+    )
+    parser.add_argument(
+        '--require',
+        choices=REQUIREMENTS,
+        help=f'end with exit code {EXIT_UNMET} and a line a motor where the white box does not '
+        'explain the data (fit), or where a parameter is neither identified nor negligible '
+        'besides (identified)',
     )
     parser.add_argument(
         '--truth',
@@ -264,7 +279,12 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
         with readers_may_leave(sys.stdout):
             write_text(result, fits, sys.stdout)
-    return EXIT_STOPPED if outcome.observer.incidents else 0
+    if outcome.observer.incidents:
+        return EXIT_STOPPED
+    unmet = shortfalls(options.require, result, configuration.motors) if options.require else []
+    for phrase in unmet[:MOST_NAMED]:
+        _tell(f'not {options.require}: {phrase}')
+    return EXIT_UNMET if unmet else 0
 
 
 def _require_validation(options: argparse.Namespace, configuration: Configuration) -> None:

@@ -26,6 +26,7 @@ from gray_box_observer.identify.archive.serial_engine import SerialEngine
 from gray_box_observer.identify.archive.trends import digest_of, gather
 from gray_box_observer.identify.options import read_limits
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.requirement import EXIT_UNMET, shortfalls
 from gray_box_observer.identify.result_text import RIGHT, parameter_cells
 from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.predictor import InlineTraining
@@ -37,6 +38,9 @@ from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import torch_device
 
 _INTERRUPTED = 'interrupted before it was read'
+
+MOST_NAMED = 20
+"""Motors that get a line each where they do not meet what is required."""
 
 
 def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int:
@@ -87,7 +91,21 @@ def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int
     if is_interrupted:
         _say(f'interrupted; {len(results_by_place)} of {len(bags)} bags were read')
         return EXIT_INTERRUPTED
-    return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
+    if any(result.error is not None for result in results):
+        return EXIT_SOME_FAILED
+    return EXIT_UNMET if options.require and not _meet(options.require, results) else 0
+
+
+def _meet(requirement: str, results: Sequence[BagResult]) -> bool:
+    """Tell whether every motor of every bag meets a requirement, and say of the first what not."""
+    unmet = [
+        f'{result.bag}: {phrase}'
+        for result in results
+        for phrase in shortfalls(requirement, {'motors': result.motors}, ())
+    ]
+    for phrase in unmet[:MOST_NAMED]:
+        _say(f'not {requirement}: {phrase}')
+    return not unmet
 
 
 def _engine(options: argparse.Namespace) -> SerialEngine | ProcessEngine | DaskEngine:
