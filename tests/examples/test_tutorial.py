@@ -67,6 +67,17 @@ def test_the_mapping_of_the_tutorial_is_the_one_that_is_tried_here():
     assert all(f'{key}={value}' in text for key, value in RIGHT.items())
 
 
+@pytest.mark.parametrize('page', ['docs/TUTORIAL.md', 'examples/README.md'])
+def test_what_the_commands_of_a_page_write_is_ignored_by_git(page: str):
+    root = TUTORIAL.parents[1]
+    text = (root / page).read_text(encoding='utf-8')
+    assert '/trial/' in (root / '.gitignore').read_text(encoding='utf-8').splitlines()
+    assert 'mkdir -p trial' in text
+    written = re.findall(r'\S*(?:\w\.(?:csv|html|yaml)|wheel_bag)\b', text)
+    assert len(written) > 3
+    assert [path for path in written if not path.strip('`(').startswith('trial/')] == []
+
+
 @pytest.mark.slow
 def test_the_log_of_the_tutorial_is_identified(run):
     code, motor, said = run()
