@@ -28,6 +28,7 @@ from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.ros.bags import recorder_node
 from gray_box_observer.ros.bags.player_arguments import PLAYER_PARAMETERS
+from gray_box_observer.ros.bags.player_node import CLOCK_QOS
 from gray_box_observer.ros.bags.recorder_arguments import RECORDER_PARAMETERS
 from gray_box_observer.ros.running import Stop
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
@@ -314,6 +315,7 @@ def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins
     assert peer.end(player, signal.SIGTERM)[0] == 0
     assert min(clocks) >= 10**9 and max(clocks) == 2 * 10**9
     assert set(clocks) - {10**9, 15 * 10**8, 2 * 10**9}, 'the clock ticks between the messages too'
+    assert CLOCK_QOS.depth >= 10, 'messages that the transport drops are sent again'
 
 
 WANTED = {
