@@ -14,7 +14,7 @@ from gray_box_observer.report.run.verdict_words import look_of
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob('*.md'), *(ROOT / 'docs').glob('*.md'), ROOT / 'examples/README.md'])
 READ_FIRST = (
-    *('README.md', 'CONTRIBUTING.md', 'examples/README.md', 'docs/TUTORIAL.md'),
+    *('README.md', 'CHANGELOG.md', 'CONTRIBUTING.md', 'examples/README.md', 'docs/TUTORIAL.md'),
     *('docs/ROBOTS.md', 'docs/WATCHING.md', 'docs/RESULTS.md', 'docs/OPERATION.md'),
     *('docs/GLOSSARY.md', 'docs/HOSTS.md', 'docs/ARCHIVES.md'),
 )
