@@ -260,9 +260,7 @@ def _is_foreign(name: str) -> bool:
 
 def _reads_current(values: Mapping[str, Any]) -> bool:
     """Tell whether torque is read as a current, which Kt makes a torque."""
-    return (
-        values['torque.quantity'] == 'current' or TORQUE_CONSTANT in values['torque.expression']
-    )
+    return values['torque.quantity'] == 'current' or TORQUE_CONSTANT in values['torque.expression']
 
 
 def _check_signal(name: str, values: Mapping[str, Any]) -> None:
