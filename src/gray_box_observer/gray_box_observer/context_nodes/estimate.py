@@ -71,8 +71,8 @@ class Estimate:
     @property
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
-        finite_count = np.count_nonzero(np.isfinite(self.value))
-        finite_count += np.count_nonzero(np.isfinite(self.covariance))
+        finite_count = int(np.count_nonzero(np.isfinite(self.value)))
+        finite_count += int(np.count_nonzero(np.isfinite(self.covariance)))
         return finite_count == self.value.size + self.covariance.size
 
     def bound_met(self, motor: int, parameter: int) -> str:

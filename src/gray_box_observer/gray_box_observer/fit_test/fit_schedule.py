@@ -78,7 +78,9 @@ class FitSchedule:
             return []
         is_soon = places >= self._soon[motors]
         has_waited = np.where(has_changed, is_soon, has_waited)
-        has_moved = is_soon & self._has_moved(estimate, motors, far)
+        has_moved: NDArray[np.bool_] = np.logical_and(
+            is_soon, self._has_moved(estimate, motors, far)
+        )
         rows = np.flatnonzero(has_waited | has_moved)
         if not rows.size:
             return []
@@ -123,7 +125,7 @@ class FitSchedule:
             motors: their places on the motor axis.
             far: shape (motor, parameter): whether a value is far from the one that was tested.
         """
-        has_moved: NDArray[np.bool_] = far.any(axis=1)
+        has_moved: NDArray[np.bool_] = np.asarray(far.any(axis=1))
         for row in np.flatnonzero(has_moved & self._has_passed[motors]).tolist():
             verdicts = zip(estimate.verdicts[row], far[row], strict=True)
             has_moved[row] = any(
