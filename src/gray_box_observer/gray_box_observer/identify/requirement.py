@@ -26,16 +26,16 @@ def shortfalls(
         result: as :func:`~gray_box_observer.identify.result.describe` gives it.
         configured_motors: names; one without a usable sample meets nothing.
     """
-    found = result['motors']
-    phrases = [f'motor {name}: no usable sample' for name in configured_motors if name not in found]
-    for name, motor in found.items():
+    motors = result['motors']
+    phrases = [f'motor {name}: no usable sample' for name in configured_motors if name not in motors]
+    for name, motor in motors.items():
         verdict = motor['fit']['verdict']
         findings = [] if verdict == FitVerdict.OK.value else [f'the fit is {verdict}']
         if requirement == IDENTIFIED:
             findings += [
                 f'{parameter} is {entry["verdict"]}'
                 for parameter, entry in motor['parameters'].items()
-                if entry['verdict'] not in {known.value for known in COUNTS_AS_KNOWN}
+                if entry['verdict'] not in {one.value for one in COUNTS_AS_KNOWN}
             ]
         if findings:
             phrases.append(f'motor {name}: {", ".join(findings)}')

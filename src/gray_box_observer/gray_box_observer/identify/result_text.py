@@ -100,10 +100,10 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
 
 
 def _delay_words(delay: Mapping[str, Any]) -> str:
-    found = 'not told by the data'
+    finding = 'not told by the data'
     if delay['value'] is not None:
-        found = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
-    return f'{found}; {delay["applied"]:.6g} s applied'
+        finding = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
+    return f'{finding}; {delay["applied"]:.6g} s applied'
 
 
 def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
