@@ -103,7 +103,13 @@ class MotorUnderTest:
         return int(self.nodes.replay.begin(self.one)[0])
 
     def count(self, most: int) -> int:
-        """Return how many of its newest samples there are, up to a number."""
+        """Return how many of its newest samples count, up to a number.
+
+        Those before a change do not. But only a motor that was known can have changed: of one that
+        was tested and never fitted all that are stored count.
+        """
+        if self.before is not None and not self.before.has_fitted:
+            return min(self.nodes.replay.stored(self.motor), most)
         return int(min(self.nodes.replay.remembered(self.one)[0], most))
 
     def newest(self, count: int) -> Array:
@@ -191,8 +197,8 @@ class WindowTest:
     def _look(self, motor: MotorUnderTest, count: int) -> _Finding:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
         white_box, before, estimate = self.white_box, motor.before, motor.estimate
-        theta, samples = estimate.value, motor.newest(count)[:, 0]
-        window = SampleWindow.newest(white_box, motor.nodes.replay, count, motor.one)
+        theta, content = estimate.value, np.ascontiguousarray(motor.newest(count))
+        samples, window = content[:, 0], SampleWindow.of_content(white_box, content)
         is_drifting = motor.nodes.is_drifting(motor.motor)
         with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
             analysis = analyse(white_box, to_coordinates(theta), window, is_drifting)
@@ -250,6 +256,7 @@ class WindowTest:
             suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
         range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
+        is_ok = judgement.verdict is FitVerdict.OK
         if before is not None and not is_misfit and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
             return replace(before, place=motor.place, begin=motor.begin, wait=wait)
@@ -268,6 +275,7 @@ class WindowTest:
             range_v,
             1 + earlier_misfits if is_misfit else 0,
             finding.noise_a,
+            is_ok or (before is not None and before.has_fitted),
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:

@@ -27,7 +27,9 @@ def shortfalls(
         configured_motors: names; one without a usable sample meets nothing.
     """
     motors = result['motors']
-    phrases = [f'motor {name}: no usable sample' for name in configured_motors if name not in motors]
+    phrases = [
+        f'motor {name}: no usable sample' for name in configured_motors if name not in motors
+    ]
     for name, motor in motors.items():
         verdict = motor['fit']['verdict']
         findings = [] if verdict == FitVerdict.OK.value else [f'the fit is {verdict}']
