@@ -139,12 +139,12 @@ class _Arrays:
         self._count += 1
         self._stamps[row] = stamp_ns
         for k, value in enumerate(values):
-            kept = self._values[k]
-            if kept is None:
+            column = self._values[k]
+            if column is None:
                 if not isinstance(value, np.ndarray):
                     continue
-                kept = self._values[k] = self._blank()
-            kept[row] = value
+                column = self._values[k] = self._blank()
+            column[row] = value
 
     def _grow(self) -> None:
         """Make room for as many rows again, up to those that are remembered."""
@@ -166,7 +166,8 @@ class _Arrays:
         """Every row in order."""
         order = self._order()
         columns = (
-            [math.nan] * order.size if kept is None else list(kept[order]) for kept in self._values
+            [math.nan] * order.size if column is None else list(column[order])
+            for column in self._values
         )
         return zip(self._stamps[order].tolist(), *columns, strict=True)
 
@@ -179,8 +180,8 @@ class _Arrays:
         order = self._order()
         values = np.stack(
             [
-                np.full(order.size, math.nan) if kept is None else kept[order, motor]
-                for kept in self._values
+                np.full(order.size, math.nan) if column is None else column[order, motor]
+                for column in self._values
             ]
         )
         usable = ~np.isnan(values[0])

@@ -17,7 +17,7 @@ from gray_box_observer.settings.motor_configuration import (
     expanded,
     names_stated,
 )
-from gray_box_observer.settings.parameter_names import in_words, slip_of
+from gray_box_observer.settings.parameter_names import MOST_COMPARED, in_words, slip_of
 from gray_box_observer.settings.parameters import (
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
@@ -251,7 +251,8 @@ class Configuration:
         Raises:
             ConfigurationError: there are such names; it gives the nearest of each.
         """
-        slips = {name: near for name in self.unknown if (near := slip_of(name, self.alike(name)))}
+        names = self.unknown[:MOST_COMPARED]
+        slips = {name: near for name in names if (near := slip_of(name, self.alike(name)))}
         if slips:
             kind = 'parameters' if len(slips) > 1 else 'a parameter'
             raise ConfigurationError(
