@@ -38,7 +38,7 @@ from api_tables import (
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
-from gray_box_observer.identify import command
+from gray_box_observer.identify import command, requirement
 from gray_box_observer.identify.archive import archive_options
 from gray_box_observer.ros import running
 from gray_box_observer.ros import topics as observed_topics
@@ -82,12 +82,15 @@ An executable of `gray_box_observer` ends with
 
 | code | when |
 | --- | --- |
-| {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
+| {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP; \
+`identify` also where the verdict is `misfit` |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
 | 1 | `identify`: a defect has stopped a motor; a warning says which, \
 what is known of the others stands |
 | {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, \
 and some gave nothing ([archives](ARCHIVES.md)) |
+| {requirement.EXIT_UNMET} | `identify --require fit` or `identified`: it ran to the end, \
+and a motor falls short; a line says which |
 | {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; \
 a node was interrupted a second time while it was closing |
 

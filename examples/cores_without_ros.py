@@ -1,6 +1,6 @@
 """Identifies a motor in plain Python, cell by cell: the cores of the project need no ROS.
 
-    ros_ws/run.sh python examples/cores_without_ros.py --plot estimates.html
+    ros_ws/run.sh python examples/cores_without_ros.py --plot trial/estimates.html
 
 Editors that know ``# %%`` run one cell at a time. Three methods of ``Observer`` are all that it
 takes: ``voltage`` and ``torque`` take one sample each, ``estimates`` returns what is known by now.

@@ -1,6 +1,6 @@
 """Writes the log of a simulated gear motor, as the board of a small robot would log it.
 
-    ros_ws/run.sh python examples/simulated_log.py log.csv
+    ros_ws/run.sh python examples/simulated_log.py trial/log.csv
 
 It stands in for your own log in docs/TUTORIAL.md. An H-bridge drives the motor from a battery. The
 motor drives a wheel through a gear of 30 to 1, and an encoder on the wheel's shaft gives the speed.

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import random
+import shlex
 import signal
 import socket
 import subprocess
@@ -22,7 +23,6 @@ from typing import Any
 from demo_processes import Children, DemoError
 from demo_result import (
     estimates_text,
-    fit_sentences,
     load_truth,
     prediction_scores,
     recorded_samples,
@@ -236,7 +236,9 @@ def settle(children: Children, watch: Any) -> None:
         children.require_alive('observer', 'recorder')
         watch.update(POLL_S)
         if watch.diagnostics_count > reports:
-            reports, before, counted = watch.diagnostics_count, counted, watch.samples_used() or 0
+            account = watch.account()
+            used = 0 if account is None else account.used
+            reports, before, counted = watch.diagnostics_count, counted, used
             if counted == before:
                 return
 
@@ -258,6 +260,13 @@ def identify_bag(run: Path, bag: Path, source: Source) -> None:
             f'identify ended with exit code {finished.returncode}; its message is above; the bag '
             f'is {bag}'
         )
+
+
+def watch_command() -> str:
+    """Return the command line, to be pasted, of a table of this run's estimates."""
+    names = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE')
+    program = shlex.quote(shown(executable('gray_box_observer', 'watch')))
+    return ' '.join([*(f'{name}={os.environ[name]}' for name in names), program])
 
 
 def make_source(options: argparse.Namespace, run: Path) -> Source:
@@ -284,7 +293,8 @@ def run_demo(options: argparse.Namespace) -> None:
     run = make_run_folder(options.runs.resolve())
     source = make_source(options, run)
     isolate()
-    say(f'run {shown(run)}, ROS_DOMAIN_ID {os.environ["ROS_DOMAIN_ID"]}')
+    say(f'run {shown(run)}')
+    say(f'see it in another terminal: {watch_command()}')
     bag = run / 'bag'
     recording = write_parameters(
         run / 'recorder.yaml', {'output': str(bag), 'all': source.record_all}
@@ -311,12 +321,17 @@ def run_demo(options: argparse.Namespace) -> None:
             raise DemoError(
                 f'the observer gave no estimate; see {shown(run / "log" / "observer.log")}'
             )
+        say('\nOffline, by identify over the recorded bag:')
         identify_bag(run, bag, source)
-        say(fit_sentences(run / 'identify.json', coloured=sys.stderr.isatty()))
-        say(summary(motors, recorded_samples(bag), watch.samples_used()))
+        say('\nLive, what the observer said last:')
+        say(summary(motors))
+        account = watch.account()
+        if account is not None:
+            say(account.words(recorded_samples(bag)))
+        say('\nLive, how well the observer predicted the torque:')
         scores = prediction_scores(bag)
         say(scores_text(scores))
-    say(f'report: {shown(run / "report.html")}')
+    say(f'\nreport: {shown(run / "report.html")}')
     print(
         json.dumps(
             {

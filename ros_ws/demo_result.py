@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -52,7 +51,7 @@ def estimates_text(estimates: Values) -> str:
     """All estimates in one line."""
     many = len(estimates) > 1
     return '  '.join(
-        f'{motor + " " if many else ""}{name} {value:.5g}'
+        f'{motor + " " if many else ""}{name} {value:.5g} {unit_of(name)}'
         for motor, values in sorted(estimates.items())
         for name, value in sorted(values.items())
     )
@@ -191,37 +190,25 @@ def scores_text(scores: Mapping[str, Mapping[str, float | int | None]]) -> str:
     return '\n'.join(lines)
 
 
-def fit_sentences(result: Path, *, coloured: bool) -> str:
-    """Say of every motor, in a sentence and a colour, whether the white box explains its data.
+def summary(motors: Mapping[str, Any]) -> str:
+    """The result for people: one line a parameter, in columns, beside its truth."""
+    from gray_box_observer.identify.result_text import RIGHT, parameter_cells
+    from gray_box_observer.identify.text_table import aligned
 
-    Args:
-        result: JSON that ``identify`` has written.
-        coloured: whether a terminal shows it.
-    """
-    from gray_box_observer.fit_test import FitAssessment
-    from gray_box_observer.identify.result_text import fit_line
-
-    motors = json.loads(result.read_text(encoding='utf-8'))['motors']
-    fits = {
-        name: FitAssessment.from_dict({**motor['fit'], 'samples': motor['samples']})
-        for name, motor in motors.items()
-    }
-    return '\n'.join(fit_line(name, fit, has_colour=coloured) for name, fit in fits.items())
-
-
-def summary(motors: Mapping[str, Any], recorded: int | None, used: int | None) -> str:
-    """The result for people: one line a parameter, and whether a sample was lost on the way."""
     lines = []
     for motor, parameters in motors.items():
+        rows = []
         for name, entry in parameters.items():
-            std = f' +- {entry["std"]:.2g}' if entry['std'] is not None else ''
-            error = entry.get('error_percent')
-            true = f'  (truth {entry["truth"]:g}, {error:+.3f} %)' if error is not None else ''
-            lines.append(f'{motor} {name:<12} {entry["value"]:.6g}{std}{true}')
-    if recorded is not None and used is not None:
-        lost = recorded - used
-        lines.append(
-            f'{recorded} torque samples recorded, {used} used'
-            + (f', {lost} lost or refused' if lost else '')
-        )
+            unit, error = unit_of(name), entry.get('error_percent')
+            cells = parameter_cells(name, entry['value'], entry['std'], unit)
+            truth = '' if error is None else f'truth {entry["truth"]:g} {unit}, {error:+.3f} % off'
+            rows.append([*cells, truth])
+        lines += [f'{motor}:', *(f'  {line}' for line in aligned(rows, RIGHT))]
     return '\n'.join(lines)
+
+
+def unit_of(parameter: str) -> str:
+    """The SI unit of a parameter."""
+    from gray_box_observer.white_box import TERMS
+
+    return TERMS[parameter].parameter.unit

@@ -8,6 +8,7 @@ from functools import partial
 from types import TracebackType
 
 import rclpy
+from demo_account import TorqueAccount
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -70,11 +71,9 @@ class Watch:
         for _ in range(_READS_PER_UPDATE):
             self._executor.spin_once(timeout_sec=0.0)
 
-    def samples_used(self) -> int | None:
-        """Torque samples that the observer reports as used, over all motors; None at first."""
-        key = 'samples used'
-        counts = [int(values[key]) for values in self.diagnostics.values() if key in values]
-        return sum(counts) if counts else None
+    def account(self) -> TorqueAccount | None:
+        """Where the observer says that its torque samples went; None at first."""
+        return TorqueAccount.of_diagnostics(self.diagnostics.values())
 
     def _subscribe_to_new_topics(self) -> None:
         for topic, types in self._node.get_topic_names_and_types():

@@ -21,14 +21,27 @@ from rclpy.qos import QoSProfile
 
 TIMEOUT_S = 120.0
 ASK_AGAIN_S = 15.0
-DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
-"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet
-ephemeral ones."""
 
 
-def _free_domain() -> int:
+def _own_domains() -> list[int]:
+    """Return the domains of this test process, which no other of the same run has.
+
+    In random order, so that two runs side by side rarely meet; above 101 the ports of DDS meet
+    ephemeral ones.
+    """
+    number = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+    count = max(1, int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1')))
+    domains = list(range(1 + number % count, 102, count))
+    return random.sample(domains, len(domains))
+
+
+DOMAINS = _own_domains()
+_NEXT_DOMAINS = itertools.cycle(DOMAINS)
+
+
+def free_domain() -> int:
     """Find a domain that nobody is in: the first participant of a domain owns a known UDP port."""
-    for domain in itertools.islice(DOMAINS, 101):
+    for domain in itertools.islice(_NEXT_DOMAINS, len(DOMAINS)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(('', 7410 + 250 * domain))
@@ -61,7 +74,7 @@ class Peer:
     """The test's own node and the processes it starts, all in one domain."""
 
     def __init__(self) -> None:
-        self.domain = _free_domain()
+        self.domain = free_domain()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=self.domain)
         self.node = rclpy.create_node('peer', context=self.context)

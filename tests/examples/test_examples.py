@@ -40,6 +40,9 @@ def test_an_example_explains_itself_and_is_named_where_readers_look(path: Path):
     assert done.stdout.startswith(f'usage: {path.stem} ')
     pages = [ROOT / 'README.md', *(ROOT / 'docs').glob('*.md')]
     assert any(f'examples/{path.name}' in page.read_text(encoding='utf-8') for page in pages)
+    guide = (ROOT / 'examples' / 'README.md').read_text(encoding='utf-8')
+    assert f'## `{path.name}`' in guide
+    assert re.search(rf'^    ros_ws/run.sh python examples/{path.name}', guide, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

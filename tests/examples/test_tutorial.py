@@ -67,6 +67,17 @@ def test_the_mapping_of_the_tutorial_is_the_one_that_is_tried_here():
     assert all(f'{key}={value}' in text for key, value in RIGHT.items())
 
 
+@pytest.mark.parametrize('page', ['docs/TUTORIAL.md', 'examples/README.md'])
+def test_what_the_commands_of_a_page_write_is_ignored_by_git(page: str):
+    root = TUTORIAL.parents[1]
+    text = (root / page).read_text(encoding='utf-8')
+    assert '/trial/' in (root / '.gitignore').read_text(encoding='utf-8').splitlines()
+    assert 'mkdir -p trial' in text
+    written = re.findall(r'\S*(?:\w\.(?:csv|html|yaml)|wheel_bag)\b', text)
+    assert len(written) > 3
+    assert [path for path in written if not path.strip('`(').startswith('trial/')] == []
+
+
 @pytest.mark.slow
 def test_the_log_of_the_tutorial_is_identified(run):
     code, motor, said = run()
@@ -105,7 +116,7 @@ def test_a_mistake_makes_a_misfit_that_the_tutorial_names(
     believed = {'identified', 'negligible'} & {p['verdict'] for p in motor['parameters'].values()}
     assert not believed
     assert 'Believe none of the parameters' in said
-    assert f'likely left out: {named}' in TUTORIAL.read_text(encoding='utf-8')
+    assert f'likely cause: {named}' in TUTORIAL.read_text(encoding='utf-8')
 
 
 def test_without_speed_the_rotor_is_found(run):
@@ -123,8 +134,12 @@ def test_without_speed_the_rotor_is_found(run):
 def test_milliseconds_for_seconds_are_refused_with_the_remedy(run, tmp_path: Path):
     code, _, said = run(time='t_s*1000')
     assert code == 2
-    assert 'further than gap_s of 0.5 s' in said
-    assert 'such as time=t_ms[ms]' in said
+    assert said.count('\n') == 1
+    assert 'if the time is in ms, write time=(t_s*1000)*1e-3' in said
+    assert said.partition(': its rows')[2].split()[:3] == ['are', '1', 's']
+    assert 'if the time is in ms, write time=(t_s*1000)*1e-3' in ' '.join(
+        TUTORIAL.read_text(encoding='utf-8').split()
+    )
     assert not (tmp_path / 'bag').exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -30,6 +31,14 @@ def result(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     import demo_result
 
     return demo_result
+
+
+@pytest.fixture
+def account(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / 'ros_ws'))
+    import demo_account
+
+    return demo_account
 
 
 @pytest.fixture
@@ -114,21 +123,45 @@ def test_without_an_identified_sample_there_is_no_score(result: ModuleType):
     assert 'no torque was predicted' in result.scores_text({'m': {**score, 'since_s': 2.0}})
 
 
-def test_lost_samples_are_said(result: ModuleType):
-    assert result.summary({}, 100, 100) == '100 torque samples recorded, 100 used'
-    assert '3 lost' in result.summary({}, 100, 97)
+FACTS = {
+    'samples used': '90',
+    'samples waiting for voltage': '1',
+    'torque messages refused': 'absurd: 2, duplicate: 3',
+    'torque topic: messages': '97',
+    'torque topic: unreadable': '1',
+}
 
 
-def test_whether_the_white_box_holds_is_said_in_a_sentence_and_a_colour(
-    result: ModuleType, tmp_path: Path
-):
-    fit = {'verdict': 'ok', 'ratio': 1.02, 'whiteness': 1.0, 'suspects': []}
-    (tmp_path / 'r.json').write_text(
-        json.dumps({'motors': {'motor': {'fit': fit, 'samples': 100}}})
+def test_samples_that_were_lost_and_that_were_refused_are_told_apart(account: ModuleType):
+    words = account.TorqueAccount.of_diagnostics([FACTS, {'node': 'x'}]).words(100)
+    assert words == (
+        '100 torque samples recorded, 90 used, 3 lost on the way to the observer, 6 refused by it '
+        '(absurd: 2, duplicate: 3, unreadable: 1), 1 still waiting for their voltage'
     )
-    plain = result.fit_sentences(tmp_path / 'r.json', coloured=False)
-    assert plain.startswith('motor: The white box explains the data')
-    assert result.fit_sentences(tmp_path / 'r.json', coloured=True) == f'\033[32m{plain}\033[0m'
+    assert account.TorqueAccount.of_diagnostics([{'node': 'x'}]) is None
+
+
+def test_where_nothing_was_lost_nothing_else_is_said(account: ModuleType):
+    assert account.TorqueAccount(100, 100).words(100) == '100 torque samples recorded, 100 used'
+    assert account.TorqueAccount(100, 100).words(None) == '100 used'
+
+
+def test_messages_that_motors_share_are_lost_once(account: ModuleType):
+    facts = {**FACTS, 'torque messages refused': 'none', 'torque topic: unreadable': '0'}
+    shared = account.TorqueAccount.of_diagnostics([facts, facts])
+    assert (shared.arrived, shared.used, shared.refused.total()) == (97, 180, 0)
+
+
+def test_live_values_have_units_and_stand_in_columns(result: ModuleType):
+    estimates = {'m': {'resistance': 0.99889, 'hysteresis': 10.0}}
+    assert result.estimates_text(estimates) == 'hysteresis 10 V s/(rad A)  resistance 0.99889 ohm'
+    stds = {'m': {'resistance': 1e-3, 'hysteresis': math.nan}}
+    motors = result.result_of(estimates, stds, {'m': {'resistance': 1.0}})
+    assert result.summary(motors).splitlines() == [
+        'm:',
+        '  resistance  0.99889  +- 0.001      ohm          truth 1 ohm, -0.111 % off',
+        '  hysteresis       10  +- not known  V s/(rad A)',
+    ]
 
 
 def test_a_process_that_dies_is_reported_with_its_last_lines(processes: ModuleType, tmp_path: Path):
@@ -206,6 +239,10 @@ def test_a_short_demo_identifies_the_motor_and_loses_no_sample(tmp_path: Path):
     assert all(abs(entry['error_percent']) < 20.0 for entry in parameters.values()), parameters
     assert '800 torque samples recorded, 800 used' in errors
     assert 'watch it live: http://127.0.0.1:' in errors
+    assert re.search(r'^see it in another terminal: ROS_DOMAIN_ID=\d+ .*/watch$', errors, re.M)
+    headings = [line for line in errors.splitlines() if re.match(r'(Offline|Live), .*:$', line)]
+    assert len(headings) == 3
+    assert errors.count('The white box explains the data') == 1
     assert answer['prediction']['motor']['nmae'] < 0.1
     assert Path(answer['bag'], 'metadata.yaml').is_file()
     assert '<html' in Path(answer['report']).read_text(encoding='utf-8')[:2000].lower()

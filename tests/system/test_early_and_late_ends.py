@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

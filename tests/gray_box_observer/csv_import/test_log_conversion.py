@@ -296,8 +296,8 @@ def test_time_that_falls_or_stands_still_is_named(tmp_path):
 @pytest.mark.parametrize(
     ('step', 'remedy'),
     [
-        ('10', r'in ms, write such as time=t\[ms\]'),
-        ('10000', r'in us, write such as time=t\[us\]'),
+        ('10', r'in ms, write time=t\[ms\]'),
+        ('10000', r'in us, write time=t\[us\]'),
         ('10000000', r'time=t\[ns\]'),
         ('0.00001', r'time=\(t\)\*1000'),
     ],

@@ -6,7 +6,12 @@ from typing import Any
 
 import pytest
 
-from gray_box_observer.fit_test.assumptions import DEFAULT_KB, UNSEEN_ROTOR, assumptions
+from gray_box_observer.fit_test.assumptions import (
+    DEFAULT_KB,
+    DEFAULT_KT,
+    UNSEEN_ROTOR,
+    assumptions,
+)
 from gray_box_observer.settings.configuration import Configuration
 
 
@@ -16,15 +21,16 @@ def assumed(*, measured: bool = False, **given: Any) -> dict[str, str]:
     return assumptions(motor, motor.white_box(speed_measured=measured))
 
 
-def test_speed_and_kb_of_an_unstated_motor_are_assumed_and_the_remedy_is_named() -> None:
+def test_what_is_not_stated_of_a_motor_is_assumed_and_the_remedy_is_named() -> None:
     found = assumed()
-    assert list(found) == [UNSEEN_ROTOR, DEFAULT_KB]
+    assert list(found) == [UNSEEN_ROTOR, DEFAULT_KT, DEFAULT_KB]
+    assert 'set motor.torque_constant' in found[DEFAULT_KT]
     assert 'motor.speed_source: torque_constant' in found[UNSEEN_ROTOR]
     assert 'set motor.back_emf_constant' in found[DEFAULT_KB]
 
 
-def test_a_measured_speed_leaves_kb() -> None:
-    assert list(assumed(measured=True)) == [DEFAULT_KB]
+def test_a_measured_speed_leaves_kt_and_kb() -> None:
+    assert list(assumed(measured=True)) == [DEFAULT_KT, DEFAULT_KB]
 
 
 @pytest.mark.parametrize(
@@ -38,7 +44,28 @@ def test_a_measured_speed_leaves_kb() -> None:
 def test_who_says_that_the_speed_follows_the_current_or_has_a_data_sheet_is_not_asked(
     given: dict[str, Any],
 ) -> None:
-    assert list(assumed(**given)) == [DEFAULT_KB]
+    assert list(assumed(**given)) == [DEFAULT_KT, DEFAULT_KB]
+
+
+def test_a_kt_that_is_stated_counts_even_where_it_is_the_default() -> None:
+    assert DEFAULT_KT not in assumed(torque_constant=0.01)
+
+
+@pytest.mark.parametrize(
+    'reading',
+    [
+        {'torque.quantity': 'current'},
+        {
+            'torque.expression': 'torque_constant * current',
+            'current.topic': '/current',
+        },
+    ],
+)
+def test_where_a_current_is_read_kt_scales_no_resistance(reading: dict[str, Any]) -> None:
+    motor = Configuration.from_flat(reading).motors['motor']
+    assert motor.reads_current
+    found = assumptions(motor, motor.white_box(speed_measured=True))
+    assert list(found) == [DEFAULT_KB]
 
 
 def test_a_kb_that_is_stated_counts_even_where_it_is_the_default() -> None:

@@ -42,7 +42,10 @@ def estimate_of(motors: int, verdict: Verdict = BELIEVED, factor: float = 1.0) -
 
 def result_at(place: int, verdict: FitVerdict, wait: int, misfits: int = 0) -> FitResult:
     judgement = Judgement(verdict, np.ones(2), np.zeros((2, 2)))
-    return FitResult(FitAssessment(verdict), judgement, THETA, place, 0, wait, 1.0, misfits, 0.0)
+    assessment, has_fitted = FitAssessment(verdict), verdict is FitVerdict.OK
+    return FitResult(
+        assessment, judgement, THETA, place, 0, wait, 1.0, misfits, 0.0, has_fitted=has_fitted
+    )
 
 
 def is_due(

@@ -96,7 +96,7 @@ def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
     assert motor['parameters']['inductance']['std'] is None
     assert motor['covariance'][0] == [None, None, None]
     assert main(['identify', str(free_rotor), '--skip-predictor']) == 0
-    assert '+- not known H' in capsys.readouterr().out
+    assert '+- not known  H ' in capsys.readouterr().out
 
 
 @pytest.mark.slow

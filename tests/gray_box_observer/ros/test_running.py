@@ -9,10 +9,11 @@ import sys
 import textwrap
 
 import pytest
+from tests.conftest import free_domain
 
 pytestmark = pytest.mark.system
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 SCRIPT = """
     import sys
     from rclpy.executors import SingleThreadedExecutor
@@ -61,7 +62,7 @@ def start(how: str, executor: str = 'default', *args: str) -> subprocess.Popen:
     environment = {
         **os.environ,
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': str(os.getpid() % 100),
+        'ROS_DOMAIN_ID': str(free_domain()),
     }
     command = [sys.executable, '-c', textwrap.dedent(SCRIPT), how, executor, *args]
     return subprocess.Popen(

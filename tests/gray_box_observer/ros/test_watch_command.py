@@ -47,6 +47,16 @@ def test_a_bag_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert err.startswith('watch: error: ') and err.count('\n') == 1
 
 
+def test_a_mistyped_parameter_is_refused_before_the_bag_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {gap: 1.0}}')
+    assert watch_command.main(['watch', str(MODERATE), '--params', str(params)]) == 2
+    err = capsys.readouterr().err
+    assert 'gap (did you mean gap_s?)' in err and err.count('\n') == 1
+
+
 def test_words_of_ros_end_at_two_dashes() -> None:
     words = ['a', '--ros-args', '-r', '__ns:=/r', '--', 'b']
     assert watch_command.part_words(words) == (['a', 'b'], ['--ros-args', '-r', '__ns:=/r', '--'])

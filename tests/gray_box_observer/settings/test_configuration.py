@@ -12,6 +12,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import TrainingSettings, Variant
 from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import RESERVED, Configuration
+from gray_box_observer.settings.parameter_names import MOST_COMPARED
 from gray_box_observer.settings.parameters import (
     KNOWN_PARAMETERS,
     MOTOR_PARAMETERS,
@@ -478,3 +479,18 @@ def test_no_parameter_of_the_observer_can_be_one_of_a_motor() -> None:
     for name in sorted(RESERVED):
         with pytest.raises(ConfigurationError, match='give the motor another one'):
             Configuration.from_flat({'motors': ['left', name]})
+
+
+def test_a_file_of_very_many_strange_names_is_answered_at_once() -> None:
+    strange = {f'robot_{k}.strange.name': 1.0 for k in range(50_000)}
+    compared: list[str] = []
+
+    class Watched(Configuration):
+        """Notes which names are compared."""
+
+        def alike(self, name: str) -> list[str]:
+            compared.append(name)
+            return super().alike(name)
+
+    Watched.from_flat(strange).require_no_slips()
+    assert len(compared) == MOST_COMPARED

@@ -38,10 +38,22 @@ def test_a_motor_shows_value_deviation_verdict_fit_rate_advice_and_course() -> N
     text = composed(ObserverTables(watched(), 4.0), width=120)
     for words in (
         *('/r1/observer', '1 motor, 1 identified', 'm0', 'resistance', '1.6', '± 0.01', 'ohm'),
-        *('identified', 'fit ok 1.02', '100.0 samples/s', '4200 used', 'rejected duplicate: 3'),
+        *('identified', 'fit ok, residual 1.02 times the noise', '100.0 samples/s'),
+        *('4200 samples used', 'rejected duplicate: 3'),
         *('speed from rotor', 'look at m0', '█', '▁'),
     ):
         assert words in text
+
+
+def test_the_columns_of_all_motors_stand_below_each_other_and_advice_is_indented() -> None:
+    state = watched()
+    name = ('m0', 'electrical_time_constant,b', 'value,std')
+    state.add_estimates('/r1/observer', name, [1.5, 0.25, 12345.0, 1.0], 5.0)
+    state.add_estimates('/r1/observer', ('m1', 'resistance', 'value,std'), [2.0, 0.01], 5.0)
+    state.add_status('/r1/observer', 'm1', 1, 'word ' * 40, {}, 5.0)
+    lines = composed(ObserverTables(state, 5.0), width=100).splitlines()
+    assert len({line.index('±') for line in lines if '±' in line}) == 1
+    assert len([line for line in lines if line.startswith('  word')]) > 1
 
 
 def test_where_there_is_little_room_every_motor_is_one_row() -> None:

@@ -71,7 +71,9 @@ class Estimate:
     @property
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
-        return bool(np.isfinite(self.value).all() and np.isfinite(self.covariance).all())
+        finite_count = int(np.count_nonzero(np.isfinite(self.value)))
+        finite_count += int(np.count_nonzero(np.isfinite(self.covariance)))
+        return finite_count == self.value.size + self.covariance.size
 
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""

@@ -81,22 +81,32 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     """Warn of samples too far apart or too close for a motor, and name the likely time unit."""
     if SHORTEST_INTERVAL_S <= interval_s <= LONGEST_INTERVAL_S or not np.isfinite(interval_s):
         return None
+    complaint = (
+        f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
+        f'to {LONGEST_INTERVAL_S:g} s apart'
+    )
+    remedy = time_remedy(interval_s, expression)
+    return f'{complaint}; {remedy}' if remedy else complaint
+
+
+def time_remedy(interval_s: float, expression: str) -> str:
+    """Return the unit that a time is likely in, and how to say so; empty where none is likely.
+
+    Args:
+        interval_s: from row to row, with the time read as s.
+        expression: of the time; empty where the log has none.
+    """
     plausible = [
         unit
         for unit, factor in _FACTORS.items()
         if 2 * SHORTEST_INTERVAL_S <= interval_s * factor <= LONGEST_INTERVAL_S
     ]
-    complaint = (
-        f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
-        'to '
-    )
-    complaint += f'{LONGEST_INTERVAL_S:g} s apart'
     if not expression or not plausible:
-        return complaint
+        return ''
     unit = plausible[0]
     if unit not in OTHER_UNITS['time']:
-        return f'{complaint}; if the time is {unit}, write such as time=({expression})*1000'
-    return f'{complaint}; if the time is in {unit}, write such as {time_in(expression, unit)}'
+        return f'if the time is {unit}, write time=({expression})*1000'
+    return f'if the time is in {unit}, write {time_in(expression, unit)}'
 
 
 def time_in(expression: str, unit: str) -> str:

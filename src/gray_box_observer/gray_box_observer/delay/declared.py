@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from gray_box_observer.delay.watch import DelayWatch
-from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.raw_history import SignalHistory
 
 
 class DeclaredDelay(DelayWatch):
     """Keeps the delay that was declared; the fit test asks whether it holds."""
 
     def update(
-        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, is_awaited: bool = False
+        self, history: SignalHistory, stamp_ns: int, samples: int = 1, *, is_awaited: bool = False
     ) -> float | None:  # fmt: skip
         """Do nothing, and leave the delay as it is."""
         return None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gray_box_observer.delay.watch import DelayEstimate, DelayWatch
-from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.raw_history import MotorHistory, RawHistory
 
 SPACING = 8
 """Samples of the group between two pieces of work: a search must not cost more than all the motors'
@@ -29,7 +29,6 @@ class DelayRound:
         self._idle = DelayEstimate(applied_s, False)
         self._turn = 0
         self._count = 0
-        self._history: RawHistory | None = None
 
     def update(self, history: RawHistory, stamp_ns: int, *, is_awaited: bool = False) -> None:
         """Go on by one sample of the group; every so often a piece of work is done.
@@ -44,10 +43,8 @@ class DelayRound:
         if self._count % SPACING:
             return
         watch = self.watch(self._turn)
-        if not watch.searching:
-            self._history = history.select_motor(self._turn)
-        assert self._history is not None
-        watch.update(self._history, stamp_ns, self._count - self._query_counts[self._turn])
+        motor_history = MotorHistory(history, self._turn)
+        watch.update(motor_history, stamp_ns, self._count - self._query_counts[self._turn])
         self._query_counts[self._turn] = self._count
         if not watch.searching:
             self._turn = (self._turn + 1) % len(self._watches)

@@ -19,7 +19,7 @@ from gray_box_observer.delay.fine import FineSearch, evidence
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import LARGEST, entry, number, number_or_none, whole
-from gray_box_observer.samples.raw_history import TORQUES, RawHistory, RawSignals
+from gray_box_observer.samples.raw_history import TORQUES, RawSignals, SignalHistory
 from gray_box_observer.samples.sample import nanoseconds, seconds
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -159,8 +159,13 @@ class DelayWatch:
         self._before: _Found | None = None
 
     def update(
-        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, is_awaited: bool = False
-    ) -> float | None:  # fmt: skip
+        self,
+        history: SignalHistory,
+        stamp_ns: int,
+        samples: int = 1,
+        *,
+        is_awaited: bool = False,
+    ) -> float | None:
         """Go on by one piece of work, where there is any.
 
         Args:
@@ -197,7 +202,9 @@ class DelayWatch:
         """Whether a search is under way."""
         return self._work is not None
 
-    def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
+    def _search(
+        self, history: SignalHistory, stamp_ns: int
+    ) -> Generator[None, None, _Found | None]:
         """Search once, piece by piece; return the outcome, None where the data are silent."""
         applied_s = self.estimate.applied_s
         signals = history.signals(stamp_ns, round(applied_s * 1e9))

@@ -8,6 +8,25 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+MILD = 1.5
+"""Residual over noise floor up to which it is small."""
+
+CONTRADICTIONS = {
+    'units_of_time': 'The stamps seem to be in another unit than s',
+    'units_of_voltage': 'The voltage seems to be in another unit than V',
+    'units_of_current': 'Current or torque seems to be in another unit than stated',
+    'units_of_speed': 'The speed seems to be in another unit than rad/s',
+    'voltage_sign': 'The voltage seems to have the wrong sign',
+    'torque_sign': 'Current and torque seem to have the wrong sign',
+    'speed_sign': 'The speed seems to have the wrong sign',
+    'data_sheet': 'The data contradict the data sheet',
+    'back_emf_constant': 'The data contradict the back-EMF constant',
+    'saturation': 'The current reaches the end of the range of its sensor',
+    'delay': 'The voltage acts at another time than its stamps say',
+}
+"""Suspects that are no missing effect but a contradiction between the data and what is stated of
+them: what each says. They may leave a residual as small as the noise."""
+
 
 class FitVerdict(str, Enum):
     """Whether the white box explains the data."""
@@ -43,7 +62,7 @@ class FitAssessment:
         ratio: root mean square of the residual over the noise floor; about 1 where the white box
             holds.
         whiteness: Ljung-Box statistic over its degrees of freedom; about 1 for white noise.
-        suspects: what is likely left out, the likeliest first.
+        suspects: what is likely left out, or contradicts the data, the likeliest first.
         samples: how many it rests on.
     """
 
@@ -80,17 +99,29 @@ class FitAssessment:
         """Say in one sentence whether the white box explains the data, for people."""
         if self.verdict is FitVerdict.UNTESTED:
             return 'It is not tested yet whether the white box explains the data.'
-        size = f'the residual of the free run is {self.ratio:.3g} times the noise'
+        size = 'the residual of the free run is no number'
+        if math.isfinite(self.ratio):
+            size = f'the residual of the free run is {self.ratio:.3g} times the noise'
         if self.verdict is FitVerdict.OK:
             return f'The white box explains the data: {size}.'
-        guess = (
-            f'; likely left out: {self.suspects[0].effect} ({self.suspects[0].remedy})'
-            if self.suspects
-            else '; nothing known explains the rest'
-        )
         if self.verdict is FitVerdict.WARNING:
-            return f'The white box explains the data nearly: {size}{guess}.'
-        return (
-            f'The white box does not explain the data: {size}{guess}. Believe none of the '
-            'parameters.'
-        )
+            return f'The white box explains the data nearly: {size}; {self._guess}.'
+        first = self.suspects[0].effect if self.suspects else ''
+        finding = f'The white box does not explain the data: {size}'
+        if self.ratio <= MILD:
+            few = f'only {self.ratio:.3g} times the noise'
+            finding = (
+                f'{CONTRADICTIONS[first]}, though the residual of the free run is {few}'
+                if first in CONTRADICTIONS
+                else f'{finding}, but has a pattern'
+            )
+        return f'{finding}; {self._guess}. Believe none of the parameters.'
+
+    @property
+    def _guess(self) -> str:
+        """Name the likeliest suspect with its remedy."""
+        if not self.suspects:
+            return 'nothing known explains the rest'
+        suspect = self.suspects[0]
+        kind = 'cause' if suspect.effect in CONTRADICTIONS else 'left out'
+        return f'likely {kind}: {suspect.effect} ({suspect.remedy})'

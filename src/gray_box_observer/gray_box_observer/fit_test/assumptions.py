@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
+from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
 from gray_box_observer.white_box import MotorWhiteBox
 
 KB = 'back_emf_constant'
 
 UNSEEN_ROTOR = 'w = Kt i'
+
+DEFAULT_KT = 'Kt by default'
 
 DEFAULT_KB = 'Kb by default'
 
@@ -36,7 +39,14 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
             f'{motor.name}.initial_relative_std.resistance, '
             f'or say that it is so by {motor.name}.speed_source: torque_constant'
         )
-    kt = float(motor.values['torque_constant'])
+    kt = float(motor.values[TORQUE_CONSTANT])
+    if TORQUE_CONSTANT not in motor.stated_names and not motor.reads_current:
+        findings[DEFAULT_KT] = (
+            f'Kt is left at its default of {kt:g} N m/A, which says nothing of this motor: '
+            'the current is torque / Kt, so L and R are wrong by as much as Kt is, however sure '
+            f'they look; set {motor.name}.{TORQUE_CONSTANT}, or torque.quantity: current where '
+            'the driver reports a current'
+        )
     is_settled = KB in motor.stated_names or KB in white_box.context_nodes
     if not is_settled and white_box.has_rotor:
         findings[KB_LIKE_KT] = (

@@ -32,6 +32,7 @@ class FitResult:
         wait: samples to the next test.
         range_v: range of the voltage in the samples that a misfit rests on.
         misfits: tests in a row that found a misfit.
+        has_fitted: whether a test has been passed without a warning, this one or one before.
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
     """
@@ -45,6 +46,7 @@ class FitResult:
     range_v: float
     misfits: int
     noise_a: float
+    has_fitted: bool
 
     @property
     def is_lasting_misfit(self) -> bool:
@@ -69,6 +71,7 @@ class FitResult:
             'range_v': self.range_v,
             'misfits': self.misfits,
             'noise_a': self.noise_a,
+            'has_fitted': self.has_fitted,
         }
 
     @classmethod
@@ -85,4 +88,5 @@ class FitResult:
             plain['range_v'],
             plain['misfits'],
             plain.get('noise_a', 0.0),  # releases before kept none
+            plain.get('has_fitted', True),  # likewise
         )

@@ -7,6 +7,7 @@ another one. All is decided by counts of samples, so that every door leads to th
 
 from __future__ import annotations
 
+import math
 from itertools import islice
 from typing import Any
 
@@ -55,7 +56,8 @@ class FitSchedule:
         self._soon = np.full(count, NEVER)
         self._begin = np.full(count, NEVER)
         self._tested_at = np.zeros(count, dtype=np.int64)
-        self._theta = np.full((count, parameters), np.nan)
+        self._lowest = np.full((count, parameters), np.nan)
+        self._highest = np.full((count, parameters), np.nan)
         self._has_result = np.zeros(count, dtype=bool)
         self._has_passed = np.zeros(count, dtype=bool)
         self._movers: frozenset[int] = frozenset()
@@ -69,12 +71,16 @@ class FitSchedule:
             motors: their places on the motor axis.
         """
         self._movers = frozenset()
-        places, due, soon = replay.received[motors], self._due[motors], self._soon[motors]
-        if (places < np.minimum(due, soon)).all():
+        places, due = replay.received[motors], self._due[motors]
+        has_waited, has_changed = places >= due, replay.begin(motors) > self._begin[motors]
+        far = (estimate.value < self._lowest[motors]) | (estimate.value > self._highest[motors])
+        if not np.count_nonzero(far) and not np.count_nonzero(has_waited | has_changed):
             return []
-        has_changed = replay.begin(motors) > self._begin[motors]
-        has_waited = places >= np.where(has_changed, soon, due)
-        has_moved = (places >= soon) & self._has_moved(estimate, motors)
+        is_soon = places >= self._soon[motors]
+        has_waited = np.where(has_changed, is_soon, has_waited)
+        has_moved: NDArray[np.bool_] = np.logical_and(
+            is_soon, self._has_moved(estimate, motors, far)
+        )
         rows = np.flatnonzero(has_waited | has_moved)
         if not rows.size:
             return []
@@ -106,16 +112,20 @@ class FitSchedule:
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
         return bool(self._has_result[motor]) or hopeful or bool(place >= UNASKED)
 
-    def _has_moved(self, estimate: Estimate, motors: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def _has_moved(
+        self, estimate: Estimate, motors: NDArray[np.intp], far: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
         """Tell which motors are others than were tested, shape (motor,).
 
         What a test has found holds for the values tested. Of a motor that fits, those count that
         are believed.
+
+        Args:
+            estimate: of some motors.
+            motors: their places on the motor axis.
+            far: shape (motor, parameter): whether a value is far from the one that was tested.
         """
-        far = np.abs(np.log(estimate.value / self._theta[motors])) > MOVED
-        has_moved: NDArray[np.bool_] = far.any(axis=1)
-        if not has_moved.any():
-            return has_moved
+        has_moved: NDArray[np.bool_] = np.asarray(far.any(axis=1))
         for row in np.flatnonzero(has_moved & self._has_passed[motors]).tolist():
             verdicts = zip(estimate.verdicts[row], far[row], strict=True)
             has_moved[row] = any(
@@ -141,7 +151,8 @@ class FitSchedule:
         self._due[motor] = result.place + result.wait
         self._soon[motor] = result.place + _soonest(result.misfits)
         self._begin[motor] = result.begin
-        self._theta[motor] = result.theta
+        self._lowest[motor] = result.theta * math.exp(-MOVED)
+        self._highest[motor] = result.theta * math.exp(MOVED)
         self._has_result[motor] = True
         self._has_passed[motor] = result.assessment.verdict is not FitVerdict.MISFIT
 
@@ -150,7 +161,7 @@ class FitSchedule:
         self._due[motors] = self._fewest[motors]
         self._soon[motors] = self._begin[motors] = NEVER
         self._tested_at[motors] = 0
-        self._theta[motors] = np.nan
+        self._lowest[motors] = self._highest[motors] = np.nan
         self._has_result[motors] = self._has_passed[motors] = False
 
     def state(self, motor: int, received_count: int) -> dict[str, Any]:

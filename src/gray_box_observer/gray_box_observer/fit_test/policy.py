@@ -89,8 +89,8 @@ interval. A voltage that was sampled and not held acts so much later than it is 
 tell the instant well; smooth voltages do not."""
 
 FAR_UNTOLD_DELAY = 0.15
-"""The same from which few samples are enough where the speed is measured, because the first test comes
-early there: moves of the voltage have come, and have not told."""
+"""The same from which few samples are enough where the speed is measured, because the first test
+comes early there: moves of the voltage have come, and have not told."""
 
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""

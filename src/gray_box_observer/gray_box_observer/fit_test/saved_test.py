@@ -16,6 +16,7 @@ from gray_box_observer.safe_io.saved_state import (
     check_array,
     check_covariance,
     entry,
+    flag,
     group,
     number,
     number_or_none,
@@ -85,6 +86,8 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     whole(plain, 'misfits')
     if 'noise_a' in plain:
         number(plain, 'noise_a', 0.0, LARGEST)
+    if 'has_fitted' in plain:
+        flag(plain, 'has_fitted')
 
 
 def _saved_numbers(plain: dict[str, Any], name: str) -> Array:

@@ -12,7 +12,7 @@ from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, REMEDIES
@@ -59,9 +59,6 @@ CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
 small residual; else the free run is asked."""
 
-MILD = 1.5
-"""Residual over noise floor up to which it is small."""
-
 
 @dataclass(frozen=True, slots=True)
 class MotorUnderTest:
@@ -97,7 +94,13 @@ class MotorUnderTest:
         return int(self.nodes.replay.begin(self.one)[0])
 
     def count(self, most: int) -> int:
-        """Return how many of its newest samples there are, up to a number."""
+        """Return how many of its newest samples count, up to a number.
+
+        Those before a change do not. But only a motor that was known can have changed: of one that
+        was tested and never fitted all that are stored count.
+        """
+        if self.before is not None and not self.before.has_fitted:
+            return min(self.nodes.replay.stored(self.motor), most)
         return int(min(self.nodes.replay.remembered(self.one)[0], most))
 
     def newest(self, count: int) -> Array:
@@ -185,8 +188,8 @@ class WindowTest:
     def _look(self, motor: MotorUnderTest, count: int) -> _Finding:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
         white_box, before, estimate = self.white_box, motor.before, motor.estimate
-        theta, samples = estimate.value, motor.newest(count)[:, 0]
-        window = SampleWindow.newest(white_box, motor.nodes.replay, count, motor.one)
+        theta, content = estimate.value, np.ascontiguousarray(motor.newest(count))
+        samples, window = content[:, 0], SampleWindow.of_content(white_box, content)
         is_drifting = motor.nodes.is_drifting(motor.motor)
         with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
             analysis = analyse(
@@ -254,6 +257,7 @@ class WindowTest:
             suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
         range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
+        is_ok = judgement.verdict is FitVerdict.OK
         if before is not None and not is_misfit and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
             return replace(before, place=motor.place, begin=motor.begin, wait=wait)
@@ -272,6 +276,7 @@ class WindowTest:
             range_v,
             1 + earlier_misfits if is_misfit else 0,
             finding.noise_a,
+            is_ok or (before is not None and before.has_fitted),
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:

@@ -23,6 +23,7 @@ from gray_box_observer.identify.archive.archive_options import between
 from gray_box_observer.identify.ending import ended_by_exception
 from gray_box_observer.identify.options import configure, read_limits, read_mapping
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.requirement import EXIT_UNMET, REQUIREMENTS, shortfalls
 from gray_box_observer.identify.result import assumptions_of, describe, warnings_of
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.validation import Training, validate
@@ -45,6 +46,13 @@ EXIT_STOPPED = 1
 
 EXIT_USER_ERROR = 2
 
+EXIT_CODES = (
+    '0: it ran to the end, whatever the verdicts are; 1: a defect has stopped a motor; 2: input '
+    'that cannot be used, one line says why; 3: --each, some bags gave nothing; 4: --require is '
+    'not met; 130: interrupted'
+)
+"""What the command ends with, for people."""
+
 MOST_NAMED = 20
 """Unknown parameters that get a line each."""
 
@@ -52,8 +60,7 @@ MOST_NAMED = 20
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; the result is the exit code.
 
-    0 when it ran to the end, 1 where a defect has stopped a motor, 2 for input it cannot use, 3
-    where every bag was read by itself and some gave nothing.
+    :data:`EXIT_CODES` says what it means.
     """
     try:
         words = list(sys.argv if args is None else args)[1:]
@@ -79,7 +86,8 @@ def _parser() -> argparse.ArgumentParser:
         prog='identify',
         description='Run the observer over recorded bags as fast as it can, and say what it '
         'identified.',
-        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
+        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml. '
+        f'Exit codes: {EXIT_CODES}.',
     )
     parser.add_argument(
         'bags', nargs='*', type=Path, metavar='BAG', help='rosbag2 folder or bare .mcap file'
@@ -119,6 +127,13 @@ def _parser() -> argparse.ArgumentParser:
         'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
+        '--require',
+        choices=REQUIREMENTS,
+        help=f'end with exit code {EXIT_UNMET} and a line a motor where the white box does not '
+        'explain the data (fit), or where a parameter is neither identified nor negligible '
+        'besides (identified)',
+    )
+    parser.add_argument(
         '--truth',
         type=Path,
         metavar='FILE.yaml',
@@ -153,9 +168,8 @@ def _run(options: argparse.Namespace) -> int:
         from gray_box_observer.identify.archive import archive_command
 
         parameter_values = read_parameter_file(options.params) if options.params else {}
-        _warn_of_unknown(
-            Configuration.from_flat(parameter_values)
-        )  # what is wrong with the file is no bag's fault
+        # what is wrong with the file is no bag's fault
+        _settle_unknown(Configuration.from_flat(parameter_values))
         return archive_command.run(options, parameter_values)
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
@@ -175,6 +189,8 @@ def _every_bag(options: argparse.Namespace) -> list[Path]:
 
 def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any]) -> int:
     """Make bags of CSV logs and run the observer over them; a failed run leaves no bag."""
+    from gray_box_observer.csv_import.log_conversion import csv_to_bag
+
     count = len(options.from_csv)
     if len(options.bags) != count or not options.columns:
         bag_phrase = 'exactly one BAG' if count == 1 else f'exactly {count} BAGs'
@@ -189,9 +205,10 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
     try:
         with ended_by_exception():
             for log, bag in zip(options.from_csv, options.bags, strict=True):
-                summary = _convert(log, bag, mapping)
+                summary = csv_to_bag(log, bag, mapping)
                 new_bags.append(bag)
-                _refuse_gaps(log, summary, configuration)
+                _refuse_gaps(log, summary, mapping, configuration)
+                _tell_summary(log, bag, summary)
                 mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
             return _identify(options, configuration)
     except BaseException:  # the next try must not find the folders in its way
@@ -203,7 +220,13 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
         raise
 
 
-def _warn_of_unknown(configuration: Configuration) -> None:
+def _settle_unknown(configuration: Configuration) -> None:
+    """Refuse mistyped parameters; warn of others that the observer does not have.
+
+    Raises:
+        ConfigurationError: a name is a slip of a parameter.
+    """
+    configuration.require_no_slips()
     for name in configuration.unknown[:MOST_NAMED]:
         near = nearest(name, configuration.alike(name))
         suggestion = f' (did you mean {near}?)' if near else ''
@@ -218,10 +241,11 @@ def _warn_of_unknown(configuration: Configuration) -> None:
 
 def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     """Run the observer over the bags, and say what it found; return the exit code."""
-    _warn_of_unknown(configuration)
+    _settle_unknown(configuration)
     if options.validate:
         _require_validation(options, configuration)
     training = None if options.skip_predictor else InlineTraining
+    shows_text = options.json != '-'
     collector = _collector(options) if options.report else None
     rivals = Training() if options.validate else None
     listeners = [listener for listener in (collector, rivals) if listener is not None]
@@ -236,7 +260,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
             options.bags, configuration, training, listen if listeners else None, update, limits
         )
         result = describe(outcome)
-        warnings = [*warnings_of(outcome), *assumptions_of(outcome)]
+        warnings = [*warnings_of(outcome, with_fits=not shows_text), *assumptions_of(outcome)]
         histories = () if collector is None else _histories(collector, outcome, result)
         if rivals is not None:
             warning_count = len(outcome.warnings)
@@ -251,11 +275,16 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         write_json(result, options.json)
     if collector is not None and result['motors']:
         _write_report(options, outcome, result, histories)
-    if options.json != '-':
+    if shows_text:
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
         with readers_may_leave(sys.stdout):
             write_text(result, fits, sys.stdout)
-    return EXIT_STOPPED if outcome.observer.incidents else 0
+    if outcome.observer.incidents:
+        return EXIT_STOPPED
+    unmet = shortfalls(options.require, result, configuration.motors) if options.require else []
+    for phrase in unmet[:MOST_NAMED]:
+        _tell(f'not {options.require}: {phrase}')
+    return EXIT_UNMET if unmet else 0
 
 
 def _require_validation(options: argparse.Namespace, configuration: Configuration) -> None:
@@ -292,22 +321,28 @@ def _collector(options: argparse.Namespace) -> Collector:
     return Collector(truth)
 
 
-def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -> None:
-    """Refuse a log without consecutive samples: its time is in another unit."""
-    if summary.interval_s > configuration['gap_s']:
+def _refuse_gaps(
+    log: Path, summary: CsvSummary, mapping: CsvMapping, configuration: Configuration
+) -> None:
+    """Refuse a log without consecutive samples: its time is likely in another unit.
+
+    Raises:
+        GrayBoxError: the rows are further apart than ``gap_s``.
+    """
+    from gray_box_observer.csv_import.log_doubts import time_remedy
+
+    gap_s = configuration['gap_s']
+    if summary.interval_s > gap_s:
+        remedy = time_remedy(summary.interval_s, mapping.time)
         raise GrayBoxError(
-            f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '
-            f'{configuration["gap_s"]:g} s, '
-            'so that none follows from the one before; if its time is in ms, write such as '
-            'time=t_ms[ms]'
+            f'{log}: its rows are {summary.interval_s:.3g} s apart, and no sample follows another '
+            f'after more than {gap_s:g} s: {remedy + "; " if remedy else ""}if they are right, set '
+            f'gap_s to more than {summary.interval_s:.3g} in --params'
         )
 
 
-def _convert(log: Path, bag: Path, mapping: CsvMapping) -> CsvSummary:
-    """Make the bag of a CSV log, and warn of what looks odd in it."""
-    from gray_box_observer.csv_import.log_conversion import csv_to_bag
-
-    summary = csv_to_bag(log, bag, mapping)
+def _tell_summary(log: Path, bag: Path, summary: CsvSummary) -> None:
+    """Say what became of a CSV log, and warn of what looks odd in it."""
     left_out = summary.filtered_rows + summary.unordered_rows
     _tell(
         f'{log}: {summary.messages} messages of {summary.rows} rows over '
@@ -315,7 +350,6 @@ def _convert(log: Path, bag: Path, mapping: CsvMapping) -> CsvSummary:
     )
     for warning in summary.warnings:
         _tell(f'warning: {warning}')
-    return summary
 
 
 @contextmanager

@@ -16,8 +16,13 @@ from gray_box_observer.safe_io.finite import plain
 from gray_box_observer.samples import Rejection
 
 
-def warnings_of(outcome: Outcome) -> list[str]:
-    """Return everything that the user should know of a run, one sentence each."""
+def warnings_of(outcome: Outcome, *, with_fits: bool = True) -> list[str]:
+    """Return everything that the user should know of a run, one sentence each.
+
+    Args:
+        outcome: of the run.
+        with_fits: also what the fit tests say, which the text of a result begins with.
+    """
     observer = outcome.observer
     seen_motors = {*observer.motors, *observer.incidents}
     unseen_motors = [name for name in observer.configuration.motors if name not in seen_motors]
@@ -31,7 +36,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
     }
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
     mix_ups = [observer.mix_up(name) for name in observer.motors]
-    fits = {name: motor.fit for name, motor in observer.motors.items()}
+    fits = {name: motor.fit for name, motor in observer.motors.items()} if with_fits else {}
     return [
         *outcome.warnings,
         *(
@@ -54,8 +59,8 @@ def warnings_of(outcome: Outcome) -> list[str]:
             if course.alarms_s
         ),
         *(
-            f'motor {name}: no sample lies within gap_s of {gap_s:g} s after the one before: '
-            'are its stamps in another unit?'
+            f'motor {name}: no sample follows another within {gap_s:g} s: are its stamps in s? if '
+            'they are, set gap_s to more than the time between two'
             for name, course in outcome.courses.items()
             if course.duration_s == 0.0 and course.last_ns - course.first_ns > gap_s * 1e9
         ),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.safe_io.finite import words_of
 from gray_box_observer.safe_io.printable import printable
 
@@ -58,50 +59,76 @@ def write_text(
             print(f'  {printable(line)}', file=stream)
 
 
+def parameter_cells(name: str, value: float | None, std: float | None, unit: str) -> list[str]:
+    """Return the cells of a parameter: name, value, standard deviation and unit."""
+    return [name, words_of(value), f'+- {words_of(std, ".2g")}', unit]
+
+
+RIGHT = (1,)
+"""Place of the value among the cells of a parameter."""
+
+
 def _lines(motor: Mapping[str, Any]) -> list[str]:
     """Return what there is to say of one motor, line by line."""
-    lines = [
-        f'{name:<18} {words_of(entry["value"])} +- {words_of(entry["std"], ".2g")} '
-        f'{entry["unit"]:<14} {entry["verdict"]}'
+    rows = [
+        [
+            *parameter_cells(name, entry['value'], entry['std'], entry['unit']),
+            entry['verdict'],
+        ]
         for kind in ('parameters', 'derived')
         for name, entry in motor[kind].items()
     ]
-    lines.append(f'{"speed from":<18} {motor["speed_source"]}: {motor["speed_source_reason"]}')
+    width = max((len(row[0]) for row in rows), default=0)
+    lines = aligned(rows, RIGHT)
+    sentences = [('speed from', f'{motor["speed_source"]}: {motor["speed_source_reason"]}')]
     if motor['effects']:
-        lines.append(
-            f'{"effects added":<18} {", ".join(motor["effects"])}: {motor["effects_reason"]}'
-        )
+        effects_text = f'{", ".join(motor["effects"])}: {motor["effects_reason"]}'
+        sentences.append(('effects added', effects_text))
     if 'delay_s' in motor:
-        lines.append(_delay_line(motor['delay_s']))
+        sentences.append(('delay', _delay_words(motor['delay_s'])))
     if motor['alarms'] and motor['alarms']['raised']:
-        lines.append(
-            f'alarms: {motor["alarms"]["raised"]}, first at {motor["alarms"]["first_s"]:.2f} s'
+        alarms = motor['alarms']
+        sentences.append(
+            ('alarms', f'{alarms["raised"]} raised, first at {alarms["first_s"]:.2f} s')
         )
-    lines += [f'rejected: {reason} {count}' for reason, count in motor['rejected'].items() if count]
+    sentences += [
+        ('rejected', f'{count} messages: {reason}')
+        for reason, count in motor['rejected'].items()
+        if count
+    ]
+    lines += [f'{label:<{width}}  {sentence}' for label, sentence in sentences]
     if 'validation' in motor:
         lines += _validation_lines(motor['validation'])
     return lines
 
 
-def _delay_line(delay: Mapping[str, Any]) -> str:
-    value = 'not told by the data'
+def _delay_words(delay: Mapping[str, Any]) -> str:
+    finding = 'not told by the data'
     if delay['value'] is not None:
-        value = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
-    return f'{"delay":<18} {value}, applied {delay["applied"]:.6g} s'
+        finding = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
+    return f'{finding}; {delay["applied"]:.6g} s applied'
 
 
 def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
     """Return the figures of a validation, a line a rival."""
-    lines = [
-        f'validated on {validation["bag"]}, {validation["samples"]} samples, nothing learnt from '
-        'them:'
+    rows = [
+        [
+            SCORED[key],
+            f'RMSE {words_of(score["rmse"], ".4g")} N m',
+            f'mean error {_percent(score["nmae"])} of the spread',
+            f'fit {words_of(score["fit_percent"], ".2f")} %',
+        ]
+        for key, score in scores_of(validation).items()
     ]
-    for key, score in scores_of(validation).items():
-        rmse = words_of(score['rmse'], '.4g')
-        nmae = words_of(score['nmae'], '.4g')
-        fit = words_of(score['fit_percent'], '.2f')
-        lines.append(f'  {SCORED[key]:<28} RMSE {rmse} N m, nmae {nmae}, fit {fit} %')
-    return lines
+    return [
+        f'validated on {validation["bag"]}, {validation["samples"]} samples, nothing learnt from '
+        'them:',
+        *(f'  {line}' for line in aligned(rows)),
+    ]
+
+
+def _percent(share: float | None) -> str:
+    return words_of(None if share is None else 100.0 * share, '.3g') + ' %'
 
 
 def scores_of(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

@@ -18,6 +18,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.ros.parameter_sections import names_of_node
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.parameter_names import (
+    MOST_COMPARED,
     in_words,
     is_of_another_group,
     nearest,
@@ -48,8 +49,9 @@ def settle(
     command_line_names = _on_command_line(words)
     slips = {
         name: nearest(name, valid_names(name))
-        for name in unknown_names
-        if name in command_line_names or slip_of(name, valid_names(name))
+        for place, name in enumerate(unknown_names)
+        if name in command_line_names
+        or (place < MOST_COMPARED and slip_of(name, valid_names(name)))
     }
     if slips:
         kind = 'parameters' if len(slips) > 1 else 'a parameter'

@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,9 @@ VOLTAGES = 4 * TORQUES
 SLACK = 1024
 """Kept beyond what is read out, so that what arrived in another order does not change where the
 signals begin."""
+
+FEWEST_ROWS = 256
+"""Rows that there is room for from the first on."""
 
 Event = tuple[Literal['voltage', 'torque', 'speed'], int, tuple[float, ...]]
 """Signal, stamp in ns, and its values as :class:`Pairing` takes them."""
@@ -114,43 +116,76 @@ class _Numbers:
 
 
 class _Arrays:
-    """The same of a group: rows of arrays, as they came."""
+    """The same of a group: one array a value, written round and round.
 
-    def __init__(self, width: int, most: int) -> None:
-        self._width = width
+    A value that no row has had, such as a speed that nobody measures, takes no room.
+    """
+
+    def __init__(self, width: int, most: int, motors: int) -> None:
         self._most = most
-        self._rows: deque[tuple[Any, ...]] = deque(maxlen=most)
+        self._motors = motors
+        self._stamps = np.empty(0, dtype=np.int64)
+        self._values: list[Array | None] = [None] * width
+        self._count = 0  # rows that ever came since it was empty
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return min(self._count, self._most)
 
     def append(self, stamp_ns: int, *values: Any) -> None:
-        """Remember a row."""
-        self._rows.append((stamp_ns, *values))
+        """Remember a row: arrays of shape (motor,), or NaN where there is no value."""
+        row = self._count % self._most
+        if row == self._stamps.size:
+            self._grow()
+        self._count += 1
+        self._stamps[row] = stamp_ns
+        for k, value in enumerate(values):
+            column = self._values[k]
+            if column is None:
+                if not isinstance(value, np.ndarray):
+                    continue
+                column = self._values[k] = self._blank()
+            column[row] = value
+
+    def _grow(self) -> None:
+        """Make room for as many rows again, up to those that are remembered."""
+        count = self._stamps.size
+        self._stamps = np.resize(self._stamps, min(max(FEWEST_ROWS, 2 * count), self._most))
+        for k, before in enumerate(self._values):
+            if before is not None:
+                grown = self._values[k] = self._blank()
+                grown[:count] = before
+
+    def _blank(self) -> Array:
+        return np.full((self._stamps.size, self._motors), math.nan)
+
+    def _order(self) -> NDArray[np.intp]:
+        """Places of the rows, the oldest first."""
+        return np.arange(self._count - len(self), self._count) % self._most
 
     def rows(self) -> Iterable[tuple[Any, ...]]:
         """Every row in order."""
-        return self._rows
+        order = self._order()
+        columns = (
+            [math.nan] * order.size if column is None else list(column[order])
+            for column in self._values
+        )
+        return zip(self._stamps[order].tolist(), *columns, strict=True)
 
     def clear(self) -> None:
         """Forget every row."""
-        self._rows.clear()
+        self._count = 0
 
     def select_motor(self, motor: int) -> _Numbers:
         """Rows of one motor that have its first value, copied at once, as a sample waits."""
-        if not self._rows:
-            return _Numbers(self._width, self._most)
-        stamps, *columns = zip(*self._rows, strict=True)
-        values = np.array([[_value(value, motor) for value in column] for column in columns])
-        usable = ~np.isnan(values[0])
-        return _Numbers.from_arrays(
-            np.array(stamps, dtype=np.int64)[usable], values[:, usable], self._most
+        order = self._order()
+        values = np.stack(
+            [
+                np.full(order.size, math.nan) if column is None else column[order, motor]
+                for column in self._values
+            ]
         )
-
-
-def _value(value: Any, motor: int) -> float:
-    """Pick a motor's value from a group's; NaN where it has none, as for unmeasured speeds."""
-    return float(value.item(motor)) if isinstance(value, np.ndarray) else math.nan
+        usable = ~np.isnan(values[0])
+        return _Numbers.from_arrays(self._stamps[order][usable], values[:, usable], self._most)
 
 
 class RawHistory:
@@ -168,9 +203,11 @@ class RawHistory:
         voltages, torques = VOLTAGES + SLACK, TORQUES + SLACK
         single = motors == 1
         self._voltages: _Numbers | _Arrays = (
-            _Numbers(1, voltages) if single else _Arrays(1, voltages)
+            _Numbers(1, voltages) if single else _Arrays(1, voltages, motors)
         )
-        self._torques: _Numbers | _Arrays = _Numbers(2, torques) if single else _Arrays(2, torques)
+        self._torques: _Numbers | _Arrays = (
+            _Numbers(2, torques) if single else _Arrays(2, torques, motors)
+        )
         self._speeds = _Numbers(1, torques)
         self.restarts = 0
 
@@ -251,3 +288,36 @@ class RawHistory:
         return RawSignals(
             time_s, torque, speed, (since - until_ns) / NANOSECONDS_PER_SECOND, voltage
         )
+
+
+class SignalHistory(Protocol):
+    """The history of one motor: its own, or its part of a group's."""
+
+    @property
+    def restarts(self) -> int:
+        """How often the clock was set back."""
+
+    def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
+        """As :meth:`RawHistory.signals`."""
+
+
+class MotorHistory:
+    """One motor of a group's history; its rows are copied only where they are read out.
+
+    Args:
+        history: of the group.
+        motor: its place in it.
+    """
+
+    def __init__(self, history: RawHistory, motor: int) -> None:
+        self._history = history
+        self._motor = motor
+
+    @property
+    def restarts(self) -> int:
+        """As :attr:`RawHistory.restarts`."""
+        return self._history.restarts
+
+    def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
+        """As :meth:`RawHistory.signals`."""
+        return self._history.select_motor(self._motor).signals(until_ns, delay_ns)

@@ -17,6 +17,7 @@ from gray_box_observer.settings.motor_configuration import (
     expanded,
     names_stated,
 )
+from gray_box_observer.settings.parameter_names import MOST_COMPARED, in_words, slip_of
 from gray_box_observer.settings.parameters import (
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
@@ -24,7 +25,7 @@ from gray_box_observer.settings.parameters import (
     ParameterSpec,
 )
 from gray_box_observer.settings.ros_parameter_file import read_parameter_file
-from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
+from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS, TORQUE_CONSTANT
 from gray_box_observer.settings.signal_sources import (
     Feed,
     check_reading,
@@ -199,6 +200,8 @@ class Configuration:
             for spec in MOTOR_PARAMETERS
         }
         motors = configured_motors(names, unread_values, common, shared_names)
+        if _reads_current(values):
+            motors = {name: replace(motor, reads_current=True) for name, motor in motors.items()}
         check_joints(motors)
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(unread_values)))
@@ -242,6 +245,20 @@ class Configuration:
             f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS
         ]
 
+    def require_no_slips(self) -> None:
+        """Refuse unknown names that are slips of declared ones, as the node does.
+
+        Raises:
+            ConfigurationError: there are such names; it gives the nearest of each.
+        """
+        names = self.unknown[:MOST_COMPARED]
+        slips = {name: near for name in names if (near := slip_of(name, self.alike(name)))}
+        if slips:
+            kind = 'parameters' if len(slips) > 1 else 'a parameter'
+            raise ConfigurationError(
+                f'not {kind} of the observer: {in_words(slips)}; observer --help lists them'
+            )
+
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
         """Read a ROS parameter file (``/**`` or the node's name, then ``ros__parameters``).
@@ -254,6 +271,11 @@ class Configuration:
 
 def _is_foreign(name: str) -> bool:
     return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
+
+
+def _reads_current(values: Mapping[str, Any]) -> bool:
+    """Tell whether torque is read as a current, which Kt makes a torque."""
+    return values['torque.quantity'] == 'current' or TORQUE_CONSTANT in values['torque.expression']
 
 
 def _check_signal(name: str, values: Mapping[str, Any]) -> None:

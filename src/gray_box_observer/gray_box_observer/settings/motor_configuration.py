@@ -47,12 +47,15 @@ class MotorConfiguration:
         stated_names: names of those that the user has stated; the others have their defaults, which
             say nothing of it.
         added_effects: context nodes that data have added.
+        reads_current: whether its torque is read as a current, so that Kt scales no estimate of
+            the voltage balance but those of its speed.
     """
 
     name: str
     values: Mapping[str, Any]
     stated_names: frozenset[str] = frozenset()
     added_effects: tuple[str, ...] = ()
+    reads_current: bool = False
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""

@@ -15,6 +15,9 @@ SUGGESTED = 0.5
 
 MOST_TOLD = 8
 
+MOST_COMPARED = 1000
+"""Unknown names that are compared with the known ones; a file of more is none of slips."""
+
 
 def slip_of(name: str, valid_names: Iterable[str]) -> str:
     """Return the known name that a name is a slip of: all parts but one are the same, one is alike.

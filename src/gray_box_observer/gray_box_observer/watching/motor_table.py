@@ -10,7 +10,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from rich.box import ASCII, SIMPLE
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -26,6 +27,9 @@ from gray_box_observer.watching.sparkline import BLOCKS, PLAIN, sparkline
 CURVE_WIDTH = 20
 LONGEST_NAME = 40
 LONGEST_ADVICE = 400
+VALUE = 1
+"""Place of the value among the columns of a parameter: aligned to the right."""
+
 LINES_OF_A_MOTOR = 3
 """Beside those of its parameters, where every parameter has a row: facts, advice, a blank."""
 
@@ -75,7 +79,7 @@ class ObserverTables:
             line_count = sum(len(motor.parameters) + LINES_OF_A_MOTOR for motor in motors) + 2
             yield _title(observer, len(motors), self._now_s)
             if lines is None or line_count <= lines:
-                yield from (_detailed(motor, plain=plain) for motor in motors)
+                yield from _detailed(motors, plain=plain)
             else:
                 yield _compact(motors[: max(1, lines - 5)], plain=plain)
 
@@ -100,26 +104,51 @@ def _is_identified(motor: MotorState) -> bool:
     return bool(motor.parameters) and all(p.is_believed for p in motor.parameters.values())
 
 
-def _detailed(motor: MotorState, *, plain: bool) -> RenderableType:
-    """Draw a motor with a row for every parameter, its facts above and the advice below."""
-    table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2, 0, 0))
-    for justify in ('left', 'right', 'left', 'left', 'left', 'left'):
-        table.add_column(justify=justify, no_wrap=True)
-    for parameter in motor.parameters.values():
-        course = [value for _, value, _ in parameter.history]
-        table.add_row(
+def _cells(motor: MotorState, *, plain: bool) -> list[tuple[Text, ...]]:
+    """The row of every parameter."""
+    return [
+        (
             Text(f'  {printable(parameter.name, LONGEST_NAME)}'),
             Text(_number(parameter.value, '.5g')),
             Text(_deviation(parameter, plain=plain), style='dim'),
             Text(parameter.unit),
             _styled(parameter.verdict),
-            Text(sparkline(course, CURVE_WIDTH, PLAIN if plain else BLOCKS), style='cyan'),
+            Text(
+                sparkline(
+                    [value for _, value, _ in parameter.history],
+                    CURVE_WIDTH,
+                    PLAIN if plain else BLOCKS,
+                ),
+                style='cyan',
+            ),
         )
-    parts: list[RenderableType] = [_facts(motor), table]
-    if motor.advice:
-        advice = printable(motor.advice, LONGEST_ADVICE)
-        parts.append(Text(f'  {advice}', style=STYLES.get(motor.level, '')))
-    return Group(*parts)
+        for parameter in motor.parameters.values()
+    ]
+
+
+def _detailed(motors: Sequence[MotorState], *, plain: bool) -> Iterable[RenderableType]:
+    """Draw each motor with a row for every parameter, its facts above and the advice below.
+
+    The columns of all motors stand below each other.
+    """
+    cells = [_cells(motor, plain=plain) for motor in motors]
+    widths = [
+        max(text.cell_len for text in column)
+        for column in zip(*(row for rows in cells for row in rows), strict=True)
+    ]
+    for motor, rows in zip(motors, cells, strict=True):
+        table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2, 0, 0))
+        for place, width in enumerate(widths):
+            table.add_column(justify='right' if place == VALUE else 'left', no_wrap=True)
+            table.columns[place].min_width = width
+        for row in rows:
+            table.add_row(*row)
+        yield _facts(motor)
+        if rows:
+            yield table
+        if motor.advice:
+            advice = Text(printable(motor.advice, LONGEST_ADVICE))
+            yield Padding(advice, (0, 0, 0, 2), style=STYLES.get(motor.level, ''), expand=False)
 
 
 def _facts(motor: MotorState) -> Text:
@@ -131,7 +160,8 @@ def _facts(motor: MotorState) -> Text:
         text.append('  fit ', style='dim')
         text.append_text(_styled(fit))
         if fit != 'untested':
-            text.append(f' {_short(facts.get("fit ratio", ""))}', style='not bold')
+            ratio = _short(facts.get('fit ratio', ''))
+            text.append(f', residual {ratio} times the noise', style='not bold')
     phrases = _phrases(motor)
     if phrases:
         text.append('  ' + ', '.join(phrases), style='not bold dim')
@@ -145,7 +175,7 @@ def _phrases(motor: MotorState) -> list[str]:
     if 'sample rate [1/s]' in facts:
         phrases.append(f'{_short(facts["sample rate [1/s]"])} samples/s')
     if 'samples used' in facts:
-        phrases.append(f'{_short(facts["samples used"])} used')
+        phrases.append(f'{_short(facts["samples used"])} samples used')
     rejections = facts.get('rejected', 'none')
     if rejections != 'none':
         phrases.append(f'rejected {printable(rejections, LONGEST_NAME * 2)}')
@@ -168,7 +198,7 @@ def _compact(motors: Sequence[MotorState], *, plain: bool) -> Table:
         unit = next((p.unit for m in motors if (p := m.parameters.get(name)) is not None), '')
         table.add_column(Text(f'{printable(name, LONGEST_NAME)}\n{unit}'), no_wrap=True)
     table.add_column('fit', no_wrap=True)
-    table.add_column('1/s', no_wrap=True)
+    table.add_column('samples\nper s', no_wrap=True)
     table.add_column('advice', no_wrap=True, overflow='ellipsis')
     for motor in motors:
         table.add_row(

@@ -192,6 +192,7 @@ def _level(level: Any) -> int:
 def _run_observer(path: Path, parameter_values: Mapping[str, Any], screen: _Screen) -> list[str]:
     """Run the observer over the bag and show what it says."""
     configuration = configure(parameter_values, carried_by([path]), 'the bag')
+    configuration.require_no_slips()
     observer = Observer(configuration, None)
     outcome = offline_run.Outcome(observer, MessageInput(observer, configuration))
     teller = _Teller(path.name, observer, screen)

@@ -23,7 +23,7 @@ from gray_box_observer.watching.dashboard.signal_courses import SignalCourses
 from gray_box_observer.watching.observer_state import WatchedState
 
 FOLDER = Path(page_server.__file__).parent
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 
 
 @pytest.fixture

@@ -26,6 +26,9 @@ from gray_box_observer.identify.archive.serial_engine import SerialEngine
 from gray_box_observer.identify.archive.trends import digest_of, gather
 from gray_box_observer.identify.options import read_limits
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.requirement import EXIT_UNMET, shortfalls
+from gray_box_observer.identify.result_text import RIGHT, parameter_cells
+from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.report.trend.trend import ArchiveHistory, MotorTrend
 from gray_box_observer.report.trend.trend_page import drift_words, write_trend_report
@@ -35,6 +38,9 @@ from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import torch_device
 
 _INTERRUPTED = 'interrupted before it was read'
+
+MOST_NAMED = 20
+"""Motors that get a line each where they do not meet what is required."""
 
 
 def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int:
@@ -85,7 +91,21 @@ def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int
     if is_interrupted:
         _say(f'interrupted; {len(results_by_place)} of {len(bags)} bags were read')
         return EXIT_INTERRUPTED
-    return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
+    if any(result.error is not None for result in results):
+        return EXIT_SOME_FAILED
+    return EXIT_UNMET if options.require and not _meet(options.require, results) else 0
+
+
+def _meet(requirement: str, results: Sequence[BagResult]) -> bool:
+    """Tell whether every motor of every bag meets a requirement, and say of the first what not."""
+    unmet = [
+        f'{result.bag}: {phrase}'
+        for result in results
+        for phrase in shortfalls(requirement, {'motors': result.motors}, ())
+    ]
+    for phrase in unmet[:MOST_NAMED]:
+        _say(f'not {requirement}: {phrase}')
+    return not unmet
 
 
 def _engine(options: argparse.Namespace) -> SerialEngine | ProcessEngine | DaskEngine:
@@ -185,13 +205,16 @@ def _print_trends(
     print(f'{len(results)} bags, {failure_count} without result', file=stream)
     for motor in motors:
         print(f'{printable(motor.name)}: {len(motor.parameters[0].value)} bags', file=stream)
-        for trend in motor.parameters:
-            value, std = trend.value[-1], trend.std[-1]
-            trend_text = (
-                f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} '
-                'in the last'
-            )
-            print(f'  {trend_text}; change: {drift_words(trend.drift())}', file=stream)
+        rows = [
+            [
+                *parameter_cells(trend.name, trend.value[-1], trend.std[-1], trend.unit),
+                f'{trend.verdict[-1]} in the last',
+                f'change: {drift_words(trend.drift())}',
+            ]
+            for trend in motor.parameters
+        ]
+        for line in aligned(rows, RIGHT):
+            print(f'  {line}', file=stream)
 
 
 @contextmanager

@@ -55,7 +55,7 @@ _SETTLE_S = 0.25
 another's."""
 _LATEST_CLOCK_NS = 2**31 * 10**9
 """The first time that no message can tell; log times of a bag have twice as many bits."""
-_CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ class BagPlayer(Node):
         )
         self._publishers_by_topic = self._advertise(topics, with_outputs=values['observer_outputs'])
         self._clock_publisher = (
-            self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
+            self.create_publisher(Clock, '/clock', CLOCK_QOS) if self._plan.clock else None
         )
         self._count = 0
         self._position_ns = self._reader.start_ns

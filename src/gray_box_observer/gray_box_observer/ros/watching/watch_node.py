@@ -59,9 +59,7 @@ class WatchNode(Node):
         self._observers = observers
         self.state = WatchedState(observers)
         look_round_s = LOOK_ROUND_S if once else LOOK_ROUND_LATER_S
-        self._listener = ObserverListener(
-            self, self.state, observers, time.monotonic, look_round_s
-        )
+        self._listener = ObserverListener(self, self.state, observers, time.monotonic, look_round_s)
         self._started_s = time.monotonic()
         self._shown_s = -period_s
         self._shown_count = 0
@@ -95,8 +93,8 @@ class WatchNode(Node):
         domain = os.environ.get('ROS_DOMAIN_ID', '0')
         reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
         return (
-            f'no observer heard on {where} for {self._timeout_s:g} s: is it running, active, and with '
-            f'ROS_DOMAIN_ID={domain} like this (discovery range {reach})?'
+            f'no observer heard on {where} for {self._timeout_s:g} s: is it running, active, and '
+            f'with ROS_DOMAIN_ID={domain} like this (discovery range {reach})?'
         )
 
     def _show(self, now_s: float) -> None:
@@ -150,7 +148,9 @@ def watch_live(
     """
     with TableDisplay(sys.stdout, most, live=not once) as display:
         return run_node(
-            lambda stop: WatchNode(stop, display, observers, period_s, once=once, timeout_s=timeout_s),
+            lambda stop: WatchNode(
+                stop, display, observers, period_s, once=once, timeout_s=timeout_s
+            ),
             args,
             name='watch',
             executor_factory=PollingExecutor,

@@ -1,0 +1,89 @@
+"""The text of a result: columns below each other, units, and no sentence twice."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.identify.command import main
+from gray_box_observer.identify.result_text import write_text
+from gray_box_observer.identify.text_table import aligned
+
+
+def entry(value: float | None, std: float | None, unit: str) -> dict[str, object]:
+    """Return a parameter as the JSON of a result holds it."""
+    return {'value': value, 'std': std, 'unit': unit, 'verdict': 'identified'}
+
+
+def text_of(**changed: object) -> list[str]:
+    """Return the lines that are written of one motor."""
+    motor = {
+        'samples': 100,
+        'duration_s': 1.0,
+        'fit_percent': 99.0,
+        'parameters': {'inductance': entry(0.00229577, 3.7e-6, 'H')},
+        'derived': {'electrical_time_constant': entry(-1.5, None, 'V s/(rad A)')},
+        'speed_source': 'measured',
+        'speed_source_reason': 'it came',
+        'alarms': None,
+        'rejected': {'duplicate': 2, 'late': 0},
+        **changed,
+    }
+    stream = io.StringIO()
+    fits = {'m': FitAssessment(FitVerdict.OK, 1.0, 1.0, (), 100)}
+    write_text({'motors': {'m': motor}}, fits, stream)
+    return stream.getvalue().splitlines()
+
+
+def test_the_columns_of_a_motor_stand_below_each_other() -> None:
+    assert text_of()[2:] == [
+        '  inductance                0.00229577  +- 3.7e-06    H            identified',
+        '  electrical_time_constant        -1.5  +- not known  V s/(rad A)  identified',
+        '  speed from                measured: it came',
+        '  rejected                  2 messages: duplicate',
+    ]
+
+
+def test_what_is_scored_stands_in_columns_with_its_unit() -> None:
+    score = {'rmse': 0.00123, 'nmae': 0.05, 'fit_percent': 98.0}
+    validation = {'bag': 'b', 'samples': 9, 'white_box': score, 'persistence': score}
+    lines = text_of(validation={**validation, 'predictor': None})[-2:]
+    figures = 'RMSE 0.00123 N m  mean error 5 % of the spread  fit 98.00 %'
+    assert lines == [
+        f'    white box alone              {figures}',
+        f'    static map, for persistence  {figures}',
+    ]
+
+
+def test_every_number_of_a_delay_has_its_unit() -> None:
+    said = text_of(delay_s={'value': 0.05, 'std': 1e-4, 'applied': 0.0})
+    assert '0.05 +- 0.0001 s found in the data; 0 s applied' in '\n'.join(said)
+
+
+def test_the_last_cell_of_a_row_widens_no_column() -> None:
+    assert aligned([['a', 'a long sentence'], ['b', '1', 'c']]) == ['a  a long sentence', 'b  1  c']
+
+
+@pytest.mark.parametrize('options', [(), ('--json', '-')], ids=['text', 'json'])
+def test_what_the_fit_test_says_stands_once(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    record: Callable[..., Any],
+    messages_of: Any,
+    write_bag: Callable[..., Path],
+    options: tuple[str, ...],
+) -> None:
+    bag = write_bag(tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,1]', 5.0)))
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {torque: {scale: 1000.0}}}')
+    words = ['identify', str(bag), '--params', str(params), '--skip-predictor', *options]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert len(re.findall('Believe none of the parameters', out + err)) == 1
+    assert ('Believe none' in err) == bool(options)
