@@ -189,7 +189,7 @@ def _class_row(group: str, trials: Sequence[Trial]) -> list[str]:
     named = [t for t in trials if t.suspects and t.suspects[0] in scenario_of(t).suspects]
     ratios = [t.fit['ratio'] for t in trials if t.fit.get('ratio') is not None]
     believed = [
-        abs(t.deviations[name]) for t in trials for name, v in t.verdicts.items() if v in KNOWN
+        abs(z) for t in trials for name, z in t.deviations.items() if t.verdicts[name] in KNOWN
     ]
     return [
         group,
