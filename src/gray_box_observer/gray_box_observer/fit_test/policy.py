@@ -88,7 +88,7 @@ UNTOLD_DELAY = 0.05
 interval. A voltage that was sampled and not held acts so much later than it is taken to act. Steps
 tell the instant well; smooth voltages do not."""
 
-FAR_UNTOLD_DELAY = 0.15
+FAR_UNTOLD_DELAY = 0.165
 """The same from which few samples are enough where the speed is measured, because the first test
 comes early there: moves of the voltage have come, and have not told."""
 
