@@ -81,7 +81,7 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
     width = max((len(row[0]) for row in rows), default=0)
     lines = aligned(rows, RIGHT)
     sentences = [('speed from', f'{motor["speed_source"]}: {motor["speed_source_reason"]}')]
-    if motor['effects']:
+    if motor.get('effects'):
         effects_text = f'{", ".join(motor["effects"])}: {motor["effects_reason"]}'
         sentences.append(('effects added', effects_text))
     if 'delay_s' in motor:
