@@ -152,8 +152,8 @@ class _Arrays:
         self._stamps = np.resize(self._stamps, min(max(FEWEST_ROWS, 2 * count), self._most))
         for k, before in enumerate(self._values):
             if before is not None:
-                grown = self._values[k] = self._blank()
-                grown[:count] = before
+                room = self._values[k] = self._blank()
+                room[:count] = before
 
     def _blank(self) -> Array:
         return np.full((self._stamps.size, self._motors), math.nan)
