@@ -87,7 +87,8 @@ class Record:
         readings: the log; the current in A, from which torque is made by the user's torque
             constant.
         parameters: what the user configures, by full names.
-        truth: true values by names of parameters; without those that nobody can name.
+        truth: true values by names of parameters; an offset of the voltage is 0 but where a scenario
+            has one, and is left out where the current has one, which nobody can name in volts.
         changed: true values after every odd one of the changes.
         change_ns: stamps of the changes.
     """
@@ -212,7 +213,10 @@ def _closed_loop(
 
 def _truth(scenario: Scenario, motor: Motor) -> dict[str, float]:
     names = {*NODES, *NODES_WITH_SPEED, *ROTOR, 'brush_drop'}
-    return {name: float(getattr(motor, name)) for name in names} | dict(scenario.effects)
+    truth = {name: float(getattr(motor, name)) for name in names}
+    if 'current_offset' not in scenario.suspects:  # that is none of the voltage alone
+        truth['voltage_offset'] = 0.0
+    return truth | dict(scenario.effects)
 
 
 def _parameters(scenario: Scenario, motor: Motor) -> dict[str, object]:
