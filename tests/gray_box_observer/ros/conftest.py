@@ -139,7 +139,11 @@ class Rig:
                 for s in array.status
             )
 
-        self.peer.wait(said, f'diagnostics that say {words!r}')
+        try:
+            self.peer.wait(said, f'diagnostics that say {words!r}')
+        except AssertionError as error:
+            heard = {(s.level, s.message) for array in self.diagnostics for s in array.status}
+            raise AssertionError(f'{error}; they said {heard}') from error
 
     def latched(self, kind: type, topic: str) -> Any:
         """What a subscriber hears that comes late."""

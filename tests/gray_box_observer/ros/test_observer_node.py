@@ -632,7 +632,9 @@ def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
 def test_a_training_process_that_dies_is_reported_and_costs_no_sample(
     rig, training, record, learnt_offline
 ):
-    training().kill()
+    child = training()
+    child.kill()
+    rig.wait_until_gone(child)  # at low priority it takes a busy machine a while to end
     rig.send(record(EXCITATION, 8.0), range(100, 800))
     rig.wait_for(samples_used=800)
     rig.wait_for_level(DiagnosticStatus.ERROR, 'training ended: exit status -9')

@@ -32,7 +32,8 @@ class FitResult:
         wait: samples to the next test.
         range_v: range of the voltage in the samples that a misfit rests on.
         misfits: tests in a row that found a misfit.
-        has_fitted: whether a test has been passed without a warning, this one or one before.
+        has_fitted: whether a test in which the voltage moved has been passed without a warning,
+            this one or one before.
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
     """

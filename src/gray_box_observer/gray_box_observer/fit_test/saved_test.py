@@ -34,6 +34,10 @@ MOST_SUSPECTS = 3
 LONGEST_REMEDY = 500
 """Characters of a remedy."""
 
+MOST_AHEAD = 65536
+"""Samples, at most, by which a test may stand ahead of what is remembered: where the speed of the
+whole motor is believed, that ends with its last fit."""
+
 
 def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     """Refuse a saved state that no test could have left.
@@ -49,7 +53,7 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     if plain.get('soon') is not None:
         whole(plain, 'soon', -MOST, MOST)
     if 'tested_at' in plain:
-        whole(plain, 'tested_at', -MOST, 0)
+        whole(plain, 'tested_at', -MOST, MOST_AHEAD)
     if 'assessment' not in plain:
         return
     assessment = group(plain, 'assessment')
@@ -79,8 +83,8 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
     check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
     check_covariance('fit.spread', numbers['spread'])
     check_array('fit.theta', numbers['theta'], positive(parameters))
-    whole(plain, 'place', -MOST, 0)
-    whole(plain, 'begin', -MOST, 0)
+    whole(plain, 'place', -MOST, MOST_AHEAD)
+    whole(plain, 'begin', -MOST, MOST_AHEAD)
     whole(plain, 'wait', 1, LONGEST_WAIT)
     number(plain, 'range_v', 0.0, LARGEST)
     whole(plain, 'misfits')

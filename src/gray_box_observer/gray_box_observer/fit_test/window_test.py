@@ -100,7 +100,7 @@ class MotorUnderTest:
         was tested and never fitted all that are stored count.
         """
         if self.before is not None and not self.before.has_fitted:
-            return min(self.nodes.replay.stored(self.motor), most)
+            return min(self._stored_count, most)
         return int(min(self.nodes.replay.remembered(self.one)[0], most))
 
     def newest(self, count: int) -> Array:
@@ -109,7 +109,13 @@ class MotorUnderTest:
 
     def content(self) -> Array:
         """Return its newest samples, also those that are learnt from no more."""
-        return self.newest(min(self.nodes.replay.stored(self.motor), WINDOW))
+        return self.newest(min(self._stored_count, WINDOW))
+
+    @property
+    def _stored_count(self) -> int:
+        """Samples that are there, also after a restart: a checkpoint holds no more."""
+        replay = self.nodes.replay
+        return min(replay.stored(self.motor), replay.capacity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +263,7 @@ class WindowTest:
             suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
         range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
-        is_ok = judgement.verdict is FitVerdict.OK
+        is_ok = judgement.verdict is FitVerdict.OK and not is_held(motor.newest(count)[VOLTAGE, 0])
         if before is not None and not is_misfit and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
             return replace(before, place=motor.place, begin=motor.begin, wait=wait)

@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE
+from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
     MOST_CANDIDATES,
@@ -346,7 +347,7 @@ class FormChoice:
         self._due, self._wait, self._trials = place + due, wait, trials
         self._place = place
         if 'seen' in plain:  # not in files of early releases
-            self._place += whole(plain, 'seen', -MOST, 0)
+            self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)
             self.is_idle = flag(plain, 'is_idle') and 'trial' not in plain
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
             assert self._open is not None

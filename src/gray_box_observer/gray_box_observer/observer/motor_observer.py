@@ -325,10 +325,12 @@ class MotorObserver:
         self._retests[motor] = self._retests.get(motor, False) or (is_out and has_changed)
         return estimate
 
-    def _know(self, estimate: Estimate, motors: Any = slice(None)) -> None:
+    def _know(
+        self, estimate: Estimate, motors: Any = slice(None), *, follows_level: bool = True
+    ) -> None:
         """Keep the beliefs of all or some motors."""
         belief = self._belief
-        belief.keep(estimate, motors, is_frozen=self._is_frozen)
+        belief.keep(estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level)
         if self._speed is not None:
             self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
 
@@ -459,7 +461,7 @@ class MotorObserver:
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
         if self._belief.level is not None:
-            content['voltage_moved'] = self._belief.level.has_moved
+            content['level'] = self._belief.level.state()
         alarm = {} if self.alarm is None else self.alarm.state(motor)
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
         return content, {
@@ -494,15 +496,15 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
-        if self._belief.level is not None and 'voltage_moved' in plain:
-            self._belief.level.has_moved = flag(plain, 'voltage_moved')
+        if self._belief.level is not None and 'level' in plain:
+            self._belief.level.restore(group(plain, 'level'))
         place = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.form_choice.restore(
                 group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place
             )
-        self._know(self._believed(motor_slice), motor_slice)
+        self._know(self._believed(motor_slice), motor_slice, follows_level='level' not in plain)
         if self._is_frozen:  # verdicts tell it no more
             self._belief.restore_flags(motor, plain['identified'], flags)
         if self.forecasting is not None:

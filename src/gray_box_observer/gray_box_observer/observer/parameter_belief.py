@@ -88,18 +88,23 @@ class ParameterBelief:
             rules = nodes.verdict_rules
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
-            estimate = self.level.widened(nodes, estimate, nodes.verdict_rules)
+            estimate = self.level.widened(estimate, nodes.verdict_rules)
         return estimate.with_known_parts(self._known_parts)
 
-    def keep(self, estimate: Estimate, motors: Any, *, is_frozen: bool) -> None:
+    def keep(
+        self, estimate: Estimate, motors: Any, *, is_frozen: bool, follows_level: bool = True
+    ) -> None:
         """Keep the beliefs of some motors, and whether all is identified; freezing keeps that.
 
         Args:
             estimate: what is believed of these.
             motors: index of these on the motor axis.
             is_frozen: whether learning is stopped.
+            follows_level: whether to look if the voltage has moved; else that was restored.
         """
         if not is_frozen:
+            if self.level is not None and follows_level:
+                self.level.follow(self.context_nodes)
             flags = _known_flags(estimate)
             public_estimate = self.published(estimate, motors)
             self._keep_flags(

@@ -32,8 +32,8 @@ SLACK = 1024
 """Kept beyond what is read out, so that what arrived in another order does not change where the
 signals begin."""
 
-FEWEST_ROWS = 256
-"""Rows that there is room for from the first on."""
+BLOCK = 256
+"""Rows of a group for which room is made at once."""
 
 Event = tuple[Literal['voltage', 'torque', 'speed'], int, tuple[float, ...]]
 """Signal, stamp in ns, and its values as :class:`Pairing` takes them."""
@@ -116,16 +116,17 @@ class _Numbers:
 
 
 class _Arrays:
-    """The same of a group: one array a value, written round and round.
+    """The same of a group: blocks of rows, written round and round, so that nothing ever moves.
 
-    A value that no row has had, such as a speed that nobody measures, takes no room.
+    A value that no row of a block has had, such as a speed that nobody measures, takes no room.
     """
 
     def __init__(self, width: int, most: int, motors: int) -> None:
+        self._width = width
         self._most = most
         self._motors = motors
-        self._stamps = np.empty(0, dtype=np.int64)
-        self._values: list[Array | None] = [None] * width
+        self._stamps = np.empty(most, dtype=np.int64)
+        self._blocks: list[list[Array | None]] = []
         self._count = 0  # rows that ever came since it was empty
 
     def __len__(self) -> int:
@@ -134,56 +135,53 @@ class _Arrays:
     def append(self, stamp_ns: int, *values: Any) -> None:
         """Remember a row: arrays of shape (motor,), or NaN where there is no value."""
         row = self._count % self._most
-        if row == self._stamps.size:
-            self._grow()
         self._count += 1
         self._stamps[row] = stamp_ns
+        number, row = divmod(row, BLOCK)
+        if number == len(self._blocks):
+            self._blocks.append([None] * self._width)
+        block = self._blocks[number]
         for k, value in enumerate(values):
-            column = self._values[k]
+            column = block[k]
             if column is None:
                 if not isinstance(value, np.ndarray):
                     continue
-                column = self._values[k] = self._blank()
+                column = block[k] = np.full((BLOCK, self._motors), math.nan)
             column[row] = value
-
-    def _grow(self) -> None:
-        """Make room for as many rows again, up to those that are remembered."""
-        count = self._stamps.size
-        self._stamps = np.resize(self._stamps, min(max(FEWEST_ROWS, 2 * count), self._most))
-        for k, before in enumerate(self._values):
-            if before is not None:
-                room = self._values[k] = self._blank()
-                room[:count] = before
-
-    def _blank(self) -> Array:
-        return np.full((self._stamps.size, self._motors), math.nan)
 
     def _order(self) -> NDArray[np.intp]:
         """Places of the rows, the oldest first."""
         return np.arange(self._count - len(self), self._count) % self._most
 
     def rows(self) -> Iterable[tuple[Any, ...]]:
-        """Every row in order."""
+        """Every row in order, copied."""
         order = self._order()
-        columns = (
-            [math.nan] * order.size if column is None else list(column[order])
-            for column in self._values
+        return zip(
+            self._stamps[order].tolist(),
+            *([self._value(k, place) for place in order.tolist()] for k in range(self._width)),
+            strict=True,
         )
-        return zip(self._stamps[order].tolist(), *columns, strict=True)
+
+    def _value(self, k: int, place: int) -> Any:
+        column = self._blocks[place // BLOCK][k]
+        return math.nan if column is None else column[place % BLOCK].copy()
+
+    def _column(self, k: int, motor: int) -> Array:
+        nothing = np.full(BLOCK, math.nan)
+        columns = [block[k] for block in self._blocks]
+        return np.concatenate([nothing if c is None else c[:, motor] for c in columns])
 
     def clear(self) -> None:
         """Forget every row."""
         self._count = 0
+        self._blocks.clear()
 
     def select_motor(self, motor: int) -> _Numbers:
         """Rows of one motor that have its first value, copied at once, as a sample waits."""
+        if not self._count:
+            return _Numbers(self._width, self._most)
         order = self._order()
-        values = np.stack(
-            [
-                np.full(order.size, math.nan) if column is None else column[order, motor]
-                for column in self._values
-            ]
-        )
+        values = np.array([self._column(k, motor)[order] for k in range(self._width)])
         usable = ~np.isnan(values[0])
         return _Numbers.from_arrays(self._stamps[order][usable], values[:, usable], self._most)
 

@@ -232,15 +232,21 @@ class ReplayBuffer:
         motors = np.arange(self._end.size)[chosen_motors]
         return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
 
-    def content(self, motors: Any = slice(None), more: int = 0) -> Array:
+    def content(
+        self, motors: Any = slice(None), more: int = 0, *, with_forgotten: bool = False
+    ) -> Array:
         """Everything remembered, (signal, motor, n), for a checkpoint; n is what all have.
 
         Args:
             motors: index of the motors.
             more: so many samples before that, as far as there are any: for those who read with
                 ``until``.
+            with_forgotten: whether those count that were told to be forgotten and are still there.
         """
-        counts = np.minimum(self.received[motors] - self._begin[motors], self.capacity + more)
+        counts = self.received[motors] - self._begin[motors]
+        if with_forgotten:
+            counts = self._end[motors]
+        counts = np.minimum(counts, self.capacity + more)
         return self.newest(int(counts.min()), motors).copy()
 
     @classmethod

@@ -262,7 +262,8 @@ class RecursiveEstimator:
         selection = slice(motor, motor + 1)
         state = chosen(self._state, selection)
         received_count = int(self.replay.received[motor])
-        content = self.replay.content(selection, more=received_count - int(state.position[0]))
+        more = received_count - int(state.position[0])
+        content = self.replay.content(selection, more, with_forgotten=True)
         plain: dict[str, Any] = {
             'new': received_count - int(state.position[0]),
             'next_fit': int(state.next_fit_at[0]),

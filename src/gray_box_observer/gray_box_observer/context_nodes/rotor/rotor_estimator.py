@@ -451,7 +451,7 @@ class RotorUpdate:
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         received_count = self._place
-        content = self.replay.content()
+        content = self.replay.content(with_forgotten=True)
         plain = {
             'parameters': [p.name for p in self._white_box.parameters],
             'stamp_ns': self._stamp_ns,
