@@ -17,7 +17,7 @@ from gray_box_observer.fit_test.fit_schedule import (
     wait_after,
 )
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.fit_test.saved_test import LONGEST_WAIT
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, check_saved_test
 
 FEWEST = 64
 THETA = np.array([8e-3, 2.0])
@@ -133,3 +133,16 @@ def test_a_restored_schedule_asks_at_the_same_samples(
             expected = is_due(schedule, received, factor=factor)
             assert is_due(other, received, factor=factor) is expected
             assert other.is_urgent(0) is schedule.is_urgent(0)
+
+
+def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restored() -> None:
+    """The samples of a measured speed end with the last fit of the whole motor."""
+    schedule = FitSchedule(np.array([64]), 2)
+    schedule.begin_test(0, 512)
+    schedule.follow(0, result_at(512, FitVerdict.OK, 512))
+    state, result = schedule.state(0, 320), result_at(512, FitVerdict.OK, 512).state(320)
+    assert (state['tested_at'], result['place']) == (192, 192)
+    check_saved_test({**state, **result}, 2)
+    restored = FitSchedule(np.array([64]), 2)
+    restored.restore(state, 0, 320, FitResult.restored(result, 320))
+    assert restored.state(0, 320) == state

@@ -67,3 +67,14 @@ def test_help_names_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     said = ' '.join(capsys.readouterr().out.split())
     for code in (0, 1, 2, 3, EXIT_UNMET, 130):
         assert f' {code}: ' in said.partition('Exit codes:')[2]
+
+
+@pytest.mark.parametrize('options', [(), ('--each',)], ids=['one recording', 'each bag'])
+def test_a_motor_that_a_bag_says_nothing_of_meets_nothing(
+    bag: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
+) -> None:
+    params = bag.parent / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {motors: [motor, absent]}}')
+    words = ['identify', str(bag), '--params', str(params), '--skip-predictor', *options]
+    assert main([*words, '--require', 'fit']) == EXIT_UNMET
+    assert 'motor absent: no usable sample' in capsys.readouterr().err

@@ -130,3 +130,16 @@ def test_where_speed_is_not_measured_it_reads_zero_whatever_came() -> None:
         assert not buffer.speed_rad_s().any()
     for got, expected in zip(views(buffer)[:3], views(reference)[:3], strict=True):
         np.testing.assert_array_equal(got, expected)
+
+
+def test_what_was_told_to_be_forgotten_goes_on_where_a_checkpoint_holds_it() -> None:
+    buffer = ReplayBuffer(1, 64)
+    for k in range(50):
+        buffer.append(Sample.of_one_motor(10_000_000 * (k + 1), 0.01, float(k), 0.1))
+    buffer.forget(20)
+    content = buffer.content(with_forgotten=True)
+    assert (buffer.content().shape[2], content.shape[2]) == (20, 50)
+    other = ReplayBuffer(1, 64)
+    other.refill(content, begin=int(buffer.begin()[0]))
+    assert other.remembered().tolist() == buffer.remembered().tolist() == [20]
+    assert other.stored(0) == buffer.stored(0) == 50

@@ -93,15 +93,16 @@ def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int
         return EXIT_INTERRUPTED
     if any(result.error is not None for result in results):
         return EXIT_SOME_FAILED
-    return EXIT_UNMET if options.require and not _meet(options.require, results) else 0
+    names = list(Configuration.from_flat(parameter_values).motors)
+    return EXIT_UNMET if options.require and not _meet(options.require, results, names) else 0
 
 
-def _meet(requirement: str, results: Sequence[BagResult]) -> bool:
+def _meet(requirement: str, results: Sequence[BagResult], configured_motors: Sequence[str]) -> bool:
     """Tell whether every motor of every bag meets a requirement, and say of the first what not."""
     unmet = [
         f'{result.bag}: {phrase}'
         for result in results
-        for phrase in shortfalls(requirement, {'motors': result.motors}, ())
+        for phrase in shortfalls(requirement, {'motors': result.motors}, configured_motors)
     ]
     for phrase in unmet[:MOST_NAMED]:
         _say(f'not {requirement}: {phrase}')
