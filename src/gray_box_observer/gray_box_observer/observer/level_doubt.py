@@ -33,7 +33,7 @@ from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array
 
-LOST_V = TERMS['brush_drop'].parameter.initial
+LOST_V = 0.5
 """Standard deviation of what may be lost of a level, in V."""
 
 FEWEST, MOST = 128, 2048
