@@ -1,15 +1,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dc_motor_sim.simulation import Recording
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
-from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch
+from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch, watch
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.settings.configuration import Configuration
@@ -338,3 +340,38 @@ def test_only_a_delay_that_was_not_declared_is_complained_of(
     known: DelayEstimate, said: str | None
 ) -> None:
     assert known.complaint('m') == said
+
+
+@pytest.mark.slow
+def test_fine_searches_in_vain_come_ever_rarer(
+    observer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver that loses voltage looks late at every search, and no delay is found."""
+    begun_at: list[int] = []
+
+    class Counted(watch.FineSearch):
+        """Notes when it begins."""
+
+        def __init__(self, *arguments: Any) -> None:
+            begun_at.append(one.counts('motor').used_count)
+            super().__init__(*arguments)
+
+    monkeypatch.setattr(watch, 'FineSearch', Counted)
+    constants = {'torque_constant': 0.03, 'back_emf_constant': 0.03}
+    known = {f'motor.{name}': value for name, value in constants.items()}
+    one = observer(**known, **{'motor.effects': 'none'})
+    plant = PlantParameters(
+        resistance=2.0, inductance=4e-3, hysteresis=1e-6, inertia=2e-5, viscous_friction=1e-5,
+        coulomb_friction=1e-3, **constants,
+    )  # fmt: skip
+    recording = Simulation(
+        {'motor': plant}, 'R[-12,12]D[0.05,0.5]', seed=1, start_ns=START_NS, speed_mode='rotor',
+        torque_noise_relative=0.005, sample_rate_hz=500.0,
+    ).record(2.6)  # fmt: skip
+    commanded_v = recording.voltage_v[0] + 0.5 * np.sign(recording.torque_nm[0])
+    for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
+        one.voltage('motor', stamp_ns, float(commanded_v[k]))
+        speed_rad_s = float(recording.speed_rad_s[0, k])
+        one.torque('motor', stamp_ns, float(recording.torque_nm[0, k]), speed_rad_s)
+    assert len(begun_at) >= 2
+    assert all(later >= 1.9 * earlier for earlier, later in pairwise(begun_at)), begun_at

@@ -154,6 +154,7 @@ class DelayWatch:
         )  # samples that were learnt and are in no history any more
         self._count = 0
         self._next = FIRST
+        self._refine_at = 0  # samples before which no fine search follows one in vain
         self._put_off = False
         self._work: Generator[None, None, _Found | None] | None = None
         self._before: _Found | None = None
@@ -229,6 +230,9 @@ class DelayWatch:
             return None
         if not self._worth_refining(coarse, start_s, interval_s):
             return _Found(applied_s, math.nan, 0.0, interval_s, True)
+        if self._count < self._refine_at and not self.estimate.is_estimated:
+            return None
+        self._refine_at = 2 * self._count  # unless it brings news
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
         fixed_fit = yield from fine.fit(applied_s, free=False)
@@ -285,7 +289,7 @@ class DelayWatch:
             )
         if not result.inside or result.evidence < EVIDENCE:
             return None
-        self._before = result
+        self._before, self._refine_at = result, 0
         near_s = result.interval_s + STDS * math.hypot(
             result.std_s, 0.0 if before is None else before.std_s
         )

@@ -29,7 +29,6 @@ from gray_box_observer.safe_io.saved_state import (
 )
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array
 
