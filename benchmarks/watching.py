@@ -93,7 +93,7 @@ def watching() -> Iterator[Watcher]:
         _command('watch'),
         stdin=subprocess.DEVNULL,
         stdout=theirs,
-        env={**os.environ, 'TERM': 'xterm-256color', 'COLUMNS': '120', 'LINES': '50'},
+        env={**os.environ, 'TERM': 'xterm-256color', 'COLUMNS': '120', 'LINES': '90'},
     )
     threading.Thread(target=read, daemon=True).start()
     with _ended(process):
