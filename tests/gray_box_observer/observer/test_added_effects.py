@@ -98,6 +98,20 @@ def test_a_motor_of_the_thesis_may_lose_a_voltage_too() -> None:
     assert values['brush_drop'][0] == pytest.approx(0.6, rel=0.05)
 
 
+@pytest.mark.slow
+def test_a_lost_voltage_is_found_beside_a_rotor_that_nobody_measures() -> None:
+    record = recorded(LOSSY, LIVELY, 6.0, 1)
+    values = {'motor.context_nodes': [*NODES_OF_THESIS]}
+    motor = fed(record, speed=False, **values).motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.added_effects == ('brush_drop',)
+    found = values_of(motor)
+    for name in ('resistance', 'brush_drop'):
+        value, std, verdict = found[name]
+        assert verdict == 'identified', name
+        assert abs(value - getattr(LOSSY, name)) < max(4.0 * std, 0.02 * getattr(LOSSY, name))
+
+
 NODES_OF_THESIS = ('inductance', 'resistance', 'hysteresis')
 
 

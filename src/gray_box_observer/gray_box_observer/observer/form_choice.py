@@ -241,11 +241,20 @@ class FormChoice:
                 instead = self.kind.without(TWINS[node]).with_effect(node)
                 kinds += [instead, self.kind.with_effect(node)]
             elif suspect.effect == ROTOR and plain is not None:
-                kinds.append(plain)
+                kinds += self._with_rotor(plain)
         if plain is not None:
             kinds.append(plain)
         different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
         return tuple(different)[:MOST_CANDIDATES]
+
+    def _with_rotor(self, plain: FormKind) -> list[FormKind]:
+        """Return a rotor, and one whose driver loses voltage where that alone has failed before.
+
+        The misfits of a rotor that nobody measures name no effects.
+        """
+        if plain.source != ROTOR or not self._trials:
+            return [plain]
+        return [plain, plain.with_effect(LOST_VOLTAGE)]
 
     def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
