@@ -87,8 +87,8 @@ class Record:
         readings: the log; the current in A, from which torque is made by the user's torque
             constant.
         parameters: what the user configures, by full names.
-        truth: true values by names of parameters; an offset of the voltage is 0 but where a scenario
-            has one, and is left out where the current has one, which nobody can name in volts.
+        truth: true values by names of parameters; an offset of the voltage is 0 but where a
+            scenario has one, and is left out where the current has one: nobody can name it in V.
         changed: true values after every odd one of the changes.
         change_ns: stamps of the changes.
     """
