@@ -86,10 +86,12 @@ class LevelDoubt:
         _, more = integrated_regressors(white_box, volts - LOST_V, *signals)
         scale = np.linalg.norm(columns, axis=0)
         shift = np.zeros_like(self._shift)
-        told = scale > 0.0
-        if np.isfinite(columns).all() and told.any():
-            columns, scale = columns[:, told], scale[told]
-            shift[told] = np.linalg.lstsq(columns / scale, more - target, rcond=1e-9)[0] / scale
+        has_share = scale > 0.0
+        if np.isfinite(columns).all() and has_share.any():
+            columns, scale = columns[:, has_share], scale[has_share]
+            shift[has_share] = (
+                np.linalg.lstsq(columns / scale, more - target, rcond=1e-9)[0] / scale
+            )
         return shift
 
     def widened(self, estimate: Estimate, rules: VerdictSettings) -> Estimate:
