@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.checkpoints import checkpoint, checkpoint_manager
 from gray_box_observer.checkpoints.background_writer import CheckpointWriter
 from gray_box_observer.checkpoints.checkpoint import (
     PARTIAL,
@@ -31,6 +31,12 @@ from gray_box_observer.predictor.initial_network import SHIPPED
 from gray_box_observer.settings.configuration import Configuration
 
 PATIENCE_S = 20.0
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a busy machine take its time to write; what hangs for good is tested by itself."""
+    monkeypatch.setattr(checkpoint_manager, 'END_PATIENCE_S', 60.0)
 
 
 @pytest.fixture
