@@ -108,11 +108,7 @@ class LevelDoubt:
         covariance[0, :electrical, :electrical] += np.outer(self._shift, self._shift)
         values = self._white_box.values(estimate.value[0, :electrical])
         covariance[0, 0, 0] += (self._half_interval_s * values.get('resistance', 0.0)) ** 2
-        relative_std = np.sqrt(np.diagonal(covariance[0])) / estimate.value[0]
-        verdicts = tuple(
-            limited(verdict, std, rules)
-            for verdict, std in zip(estimate.verdicts[0], relative_std.tolist(), strict=True)
-        )
+        verdicts = limited(estimate.verdicts[0], estimate.value[0], covariance[0], rules)
         return replace(estimate, covariance=covariance, verdicts=(verdicts,))
 
     def state(self) -> dict[str, Any]:

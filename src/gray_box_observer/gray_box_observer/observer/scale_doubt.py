@@ -90,11 +90,7 @@ class ScaleDoubt:
             for gain in self._gains[motor]:
                 direction = self._direction(gain, nodes, estimate, row, motor)
                 covariance[row] += gain.relative_std**2 * np.outer(direction, direction)
-            relative_std = np.sqrt(np.diagonal(covariance[row])) / value
-            verdicts[row] = tuple(
-                limited(verdict, std, rules)
-                for verdict, std in zip(verdicts[row], relative_std.tolist(), strict=True)
-            )
+            verdicts[row] = limited(verdicts[row], value, covariance[row], rules)
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
 
     def _direction(
@@ -172,7 +168,25 @@ def _shifts_of_constant(configuration: Configuration, white_box: MotorWhiteBox) 
     return {'N m': 1, 'rad': 1} if follows_current else {'N m': 1}
 
 
-def limited(verdict: Verdict, relative_std: float, rules: VerdictSettings) -> Verdict:
+def limited(
+    verdicts: Sequence[Verdict], value: Array, covariance: Array, rules: VerdictSettings
+) -> tuple[Verdict, ...]:
+    """Return the verdicts of one motor that a wider covariance allows at most.
+
+    Args:
+        verdicts: of every parameter.
+        value: shape (parameter,).
+        covariance: shape (parameter, parameter): the wider one.
+        rules: what a verdict asks for.
+    """
+    relative_std = np.sqrt(np.diagonal(covariance)) / value
+    return tuple(
+        _limited(verdict, std, rules)
+        for verdict, std in zip(verdicts, relative_std.tolist(), strict=True)
+    )
+
+
+def _limited(verdict: Verdict, relative_std: float, rules: VerdictSettings) -> Verdict:
     """Return the verdict that a standard deviation allows at most."""
     if verdict not in (Verdict.IDENTIFIED, Verdict.CONVERGING):
         return verdict
