@@ -28,7 +28,6 @@ from gray_box_observer.identify.result import assumptions_of, describe, warnings
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.validation import Training, validate
 from gray_box_observer.observer.observer import Result
-from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.safe_io.finite import plain
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.standard_streams import readers_may_leave
@@ -39,6 +38,7 @@ from gray_box_observer.settings.ros_parameter_file import read_parameter_file
 if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
     from gray_box_observer.csv_import.column_mapping import CsvMapping
     from gray_box_observer.csv_import.log_conversion import CsvSummary
+    from gray_box_observer.observer.builder import TrainingFactory
     from gray_box_observer.report.run.collector import Collector
     from gray_box_observer.report.run.history import MotorHistory
 
@@ -244,7 +244,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     _settle_unknown(configuration)
     if options.validate:
         _require_validation(options, configuration)
-    training = None if options.skip_predictor else InlineTraining
+    training = None if options.skip_predictor else _predictor_training()
     shows_text = options.json != '-'
     collector = _collector(options) if options.report else None
     rivals = Training() if options.validate else None
@@ -285,6 +285,13 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     for phrase in unmet[:MOST_NAMED]:
         _tell(f'not {options.require}: {phrase}')
     return EXIT_UNMET if unmet else 0
+
+
+def _predictor_training() -> TrainingFactory:
+    """Return what makes the predictor's trainer."""
+    from gray_box_observer.predictor import InlineTraining
+
+    return InlineTraining
 
 
 def _require_validation(options: argparse.Namespace, configuration: Configuration) -> None:

@@ -10,8 +10,8 @@ from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.identify.offline_run import Outcome
 from gray_box_observer.observer.incident import in_words
+from gray_box_observer.observer.motor_view import ALARM_REMEDY
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.safe_io.finite import plain
 from gray_box_observer.samples import Rejection
 
@@ -54,7 +54,7 @@ def warnings_of(outcome: Outcome, *, with_fits: bool = True) -> list[str]:
         ),
         *(
             f'motor {name}: alarm at {course.alarms_s[0]:.2f} s, {len(course.alarms_s)} in all: '
-            f'{REMEDY}'
+            f'{ALARM_REMEDY}'
             for name, course in outcome.courses.items()
             if course.alarms_s
         ),

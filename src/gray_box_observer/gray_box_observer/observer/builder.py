@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,25 +37,20 @@ from gray_box_observer.observer.motor_form import (
 )
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.scale_doubt import scale_doubt
-from gray_box_observer.predictor import (
-    AlarmSettings,
-    Forecasting,
-    Predictor,
-    ResidualAlarm,
-    RotorPredictor,
-    TorquePredictor,
-    Training,
-    TrainingSettings,
-    Variant,
-)
 from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
-from gray_box_observer.settings.parameters import KNOWN_PARAMETERS
+from gray_box_observer.settings.parameters import KNOWN_PARAMETERS, PHYSICS
 from gray_box_observer.white_box import MotorWhiteBox
 
-TrainingFactory = Callable[[dict[str, Any]], Training]
+if TYPE_CHECKING:  # loaded where something is predicted
+    from gray_box_observer.predictor import AlarmSettings, Forecasting, TorquePredictor, Training
+
+UNUSED_SEED = 0
+"""Of a rule that draws nothing."""
+
+TrainingFactory = Callable[[dict[str, Any]], 'Training']
 
 
 def motor_observer(
@@ -126,7 +121,7 @@ def _form(
         )
 
     def make_forecasting() -> Forecasting | None:
-        is_physics = configuration['variant'] == Variant.PHYSICS.value
+        is_physics = configuration['variant'] == PHYSICS
         if training is None or (white_box.has_rotor and not is_physics):
             return None  # the networks of the thesis know no hidden speed
         return _forecasting(configuration, motors, white_box, training)
@@ -204,8 +199,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
     topic of its own), and where the thesis's rules were asked for.
     """
     rules_alone = (
-        configuration['context_update'] != 'recursive'
-        or configuration['variant'] != Variant.PHYSICS.value
+        configuration['context_update'] != 'recursive' or configuration['variant'] != PHYSICS
     )
     alone = rules_alone or configuration.has_own_speed or motor.has_rotor
     if alone or motor.estimates_delay or motor.mechanical_nodes:
@@ -239,8 +233,9 @@ def context_nodes(
     verdicts = verdict_rules(configuration)
     mechanics = _mechanics(motors[0])
     motors = [motor.without_mechanics() for motor in motors]
-    initial, seed = np.array([motor.initial() for motor in motors]), _seed(configuration, motors[0])
+    initial = np.array([motor.initial() for motor in motors])
     if configuration['context_update'] == 'gradient':
+        seed = _seed(configuration, motors[0])
         return GradientUpdate(
             white_box, initial, seed, GradientSettings(**configuration.group('gradient')), verdicts
         )
@@ -250,9 +245,9 @@ def context_nodes(
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
         return MeasuredSpeedUpdate(
-            white_box, initial, seed, rules, verdicts, relative_std, mechanics
+            white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics
         )
-    return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
+    return RecursiveEstimator(white_box, initial, UNUSED_SEED, rules, verdicts, relative_std)
 
 
 def _mechanics(motor: MotorConfiguration) -> Mechanics | None:
@@ -292,6 +287,8 @@ def verdict_rules(configuration: Configuration) -> VerdictSettings:
 
 def alarm_rules(configuration: Configuration) -> AlarmSettings:
     """Settings of the alarm."""
+    from gray_box_observer.predictor import AlarmSettings
+
     return AlarmSettings(**configuration.group('alarm'))
 
 
@@ -302,6 +299,15 @@ def _forecasting(
     training: TrainingFactory,
 ) -> Forecasting:
     """Make what predicts torque, is trained, and raises the alarm."""
+    from gray_box_observer.predictor import (
+        Forecasting,
+        Predictor,
+        ResidualAlarm,
+        RotorPredictor,
+        TrainingSettings,
+        Variant,
+    )
+
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])

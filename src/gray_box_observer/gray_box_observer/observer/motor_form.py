@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.predictor import Forecasting
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
+
+if TYPE_CHECKING:  # loaded where something is predicted
+    from gray_box_observer.predictor import Forecasting
 
 THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
 """Sources of a motor's speed."""

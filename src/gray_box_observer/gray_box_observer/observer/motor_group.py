@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,11 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.observer.motor_observer import DeferredUpdate, MotorObserver
-from gray_box_observer.predictor import Prediction
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.stopped import StoppedPairing
-from gray_box_observer.white_box.interface import Array
+
+if TYPE_CHECKING:  # loaded where something is predicted
+    from gray_box_observer.predictor import Prediction
 
 
 @dataclass(slots=True)
@@ -124,11 +124,7 @@ class GroupResult:
             if sample.present is not None and not sample.present[motor]:
                 continue
             one = slice(motor, motor + 1)
-            own_prediction = None
-            if prediction is not None:
-                own_prediction = Prediction(
-                    prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None
-                )
+            own_prediction = None if prediction is None else prediction.for_motors(one)
             estimate = (
                 self.estimate.for_motor(row[motor])
                 if self.estimate is not None and motor in row
@@ -139,7 +135,3 @@ class GroupResult:
                 sample.torque_nm[one], sample.speed_rad_s[one],
             )  # fmt: skip
             yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]))
-
-
-def _rollout_of(prediction: Prediction, one: slice) -> Array:
-    return prediction.white_box_torque_nm[one]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,14 @@ from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
-from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
+
+if TYPE_CHECKING:  # loaded where something is predicted
+    from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 
 
 @dataclass(slots=True)

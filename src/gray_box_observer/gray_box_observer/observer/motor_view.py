@@ -23,6 +23,12 @@ from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
+ALARM_REMEDY = (
+    'torque is not what voltage and the identified parameters explain: '
+    'blocked rotor, open brush, weak magnet or a wrong sensor?'
+)
+"""What a standing alarm asks the user."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrainingView:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -40,7 +40,6 @@ from gray_box_observer.observer.torque_forecast import (
     torque_after_hold,
     torque_at,
 )
-from gray_box_observer.predictor import Skill
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.counts import PairingCounts
 from gray_box_observer.samples.stopped import StoppedPairing
@@ -49,6 +48,9 @@ from gray_box_observer.settings.device import torch_device
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import STORAGES
+
+if TYPE_CHECKING:  # loaded where something is predicted
+    from gray_box_observer.predictor import Skill
 
 __all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
 

@@ -34,12 +34,6 @@ REFRESH = 32
 
 SECONDS_A_DAY = 86400.0
 
-REMEDY = (
-    'torque is not what voltage and the identified parameters explain: '
-    'blocked rotor, open brush, weak magnet or a wrong sensor?'
-)
-"""What a standing alarm asks the user."""
-
 
 @dataclass(frozen=True, slots=True)
 class AlarmSettings:

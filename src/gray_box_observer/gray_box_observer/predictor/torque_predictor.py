@@ -54,6 +54,12 @@ class Prediction:
         """Shape (motor,): the white box's rollout from voltages alone; NaN where none goes on."""
         return self.rollout()
 
+    def for_motors(self, motors: slice) -> Prediction:
+        """Return what is expected of some motors, by their places; nothing is remembered of it."""
+        return Prediction(
+            self.torque_nm[motors], lambda: self.white_box_torque_nm[motors], None, None
+        )
+
 
 class TorquePredictor(ABC):
     """Predicts the torque of motors.

@@ -21,6 +21,7 @@ from gray_box_observer.settings.parameter_names import MOST_COMPARED, in_words, 
 from gray_box_observer.settings.parameters import (
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
+    PHYSICS,
     SIGNALS,
     ParameterSpec,
 )
@@ -183,7 +184,7 @@ class Configuration:
                     f'parameter {large} must be at least twice {small}, got {values[large]} and '
                     f'{values[small]}'
                 )
-        if values['horizon_s'] > 0.0 and values['variant'] != 'physics':
+        if values['horizon_s'] > 0.0 and values['variant'] != PHYSICS:
             raise ConfigurationError(
                 f'parameter horizon_s must be 0 with variant {values["variant"]}, got '
                 f'{values["horizon_s"]!r}: '

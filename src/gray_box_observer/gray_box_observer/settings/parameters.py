@@ -15,10 +15,14 @@ __all__ = [
     'KNOWN_PARAMETERS',
     'MOTOR_PARAMETERS',
     'OBSERVER_PARAMETERS',
+    'PHYSICS',
     'ROTOR_NODES',
     'SIGNALS',
     'ParameterSpec',
 ]
+
+PHYSICS = 'physics'
+"""The ``variant`` that is no variant of the thesis."""
 
 OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
@@ -58,10 +62,10 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
     ParameterSpec(
         'variant',
-        'physics',
+        PHYSICS,
         'What the LSTM is taught on: physics over all the operating range, or a variant of the '
         'thesis (5.1).',
-        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+        choices=(PHYSICS, 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
     ParameterSpec(
         'horizon_s',

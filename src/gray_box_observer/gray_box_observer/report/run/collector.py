@@ -12,9 +12,8 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
 from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.whole_run import autocorrelation, white_box_torque
-from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.observer.motor_view import ALARM_REMEDY, MotorView
 from gray_box_observer.observer.observer import Observer, Result
-from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.run.history import (
     DerivedFigure,
     FitHistory,
@@ -222,7 +221,7 @@ def _alarm_notes(times_s: list[float]) -> list[str]:
     """Say when the alarm on the residual was raised."""
     if not times_s:
         return []
-    return [f'Alarm at {_times(times_s)}: {REMEDY}']
+    return [f'Alarm at {_times(times_s)}: {ALARM_REMEDY}']
 
 
 def notes(name: str, observer: Observer) -> list[str]:

@@ -17,9 +17,9 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.message_input import MessageInput
+from gray_box_observer.observer.motor_view import ALARM_REMEDY
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.verdict_advice import verdict_advice
-from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.ros.observer.diagnostic_values import values_of
 from gray_box_observer.ros.observer.topic_inputs import Inputs
 from gray_box_observer.ros.observer.traffic import Traffic, TrafficMeter
@@ -267,7 +267,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
             if change_count
             else ''
         )
-        return DiagnosticStatus.WARN, REMEDY + change_note
+        return DiagnosticStatus.WARN, ALARM_REMEDY + change_note
     stall = observer.motors[motor].stall
     if stall is not None and stall.sentence is not None:
         return DiagnosticStatus.WARN, stall.sentence
