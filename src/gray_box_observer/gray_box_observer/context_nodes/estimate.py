@@ -93,7 +93,7 @@ class Estimate:
         Args:
             parts: shape (parameter,): what was known of each; of further ones nothing.
         """
-        if not parts.any():
+        if not np.count_nonzero(parts):
             return self
         whole = np.concatenate([parts, np.zeros(len(self.parameters) - parts.size)])
         parameters = tuple(

@@ -71,6 +71,8 @@ class FitSchedule:
             motors: their places on the motor axis.
         """
         self._movers = frozenset()
+        if motors.size == 1 and self._is_calm(replay, estimate, motors):
+            return []
         places, due = replay.received[motors], self._due[motors]
         has_waited, has_changed = places >= due, replay.begin(motors) > self._begin[motors]
         far = (estimate.value < self._lowest[motors]) | (estimate.value > self._highest[motors])
@@ -92,6 +94,21 @@ class FitSchedule:
             if self._is_ripe(estimate, row, motors[row], places[row])
         )
         return list(islice(due_motors, max(1, self._due.size // MANY)))
+
+    def _is_calm(self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]) -> bool:
+        """Tell of one motor, in plain numbers, whether nothing asks for a test: mostly nothing."""
+        motor = motors.item()
+        if replay.received.item(motor) >= self._due.item(motor):
+            return False
+        if replay.begin(motors).item() > self._begin.item(motor):
+            return False
+        values = zip(
+            estimate.value[0].tolist(),
+            self._lowest[motor].tolist(),
+            self._highest[motor].tolist(),
+            strict=True,
+        )
+        return not any(value < lowest or value > highest for value, lowest, highest in values)
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""

@@ -52,7 +52,7 @@ class FitMonitor:
             for motor, white_box in zip(motors, white_boxes, strict=True)
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
-        self._limits = np.ones(len(motors), dtype=bool)
+        self._limited_motors = set(range(len(motors)))
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
 
@@ -116,11 +116,14 @@ class FitMonitor:
     def _keep(self, motor: int, result: FitResult | None) -> None:
         """Keep what a test has left, and whether that limits the estimate."""
         self._results[motor] = result
-        self._limits[motor] = (
+        if (
             result is None
             or result.judgement.widens
             or result.judgement.verdict is FitVerdict.MISFIT
-        )
+        ):
+            self._limited_motors.add(motor)
+        else:
+            self._limited_motors.discard(motor)
 
     def judged(
         self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]
@@ -132,12 +135,12 @@ class FitMonitor:
             estimate: as it gives it, one row for each of some motors.
             motors: their places on the motor axis.
         """
-        rows = np.flatnonzero(self._limits[motors])
-        if rows.size == 0:
+        rows = [row for row, motor in enumerate(motors.tolist()) if motor in self._limited_motors]
+        if not rows:
             return estimate
         covariance = estimate.covariance
         verdicts = list(estimate.verdicts)
-        for row in rows.tolist():
+        for row in rows:
             motor = int(motors[row])
             result = self._results[motor]
             if result is None:
@@ -162,7 +165,7 @@ class FitMonitor:
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
         self._results = [None] * len(self._tests)
-        self._limits[:] = True
+        self._limited_motors = set(range(len(self._tests)))
         self.schedule.forget()
 
     def state(self, motor: int, received_count: int) -> dict[str, Any]:

@@ -280,8 +280,7 @@ class MotorObserver:
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
         estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
-        self._know(estimate, motors)
-        return self._belief.published(estimate, motors)
+        return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of all or some motors, as far as fit and scales allow."""
@@ -329,12 +328,15 @@ class MotorObserver:
 
     def _know(
         self, estimate: Estimate, motors: Any = slice(None), *, follows_level: bool = True
-    ) -> None:
-        """Keep the beliefs of all or some motors."""
+    ) -> Estimate:
+        """Keep the beliefs of all or some motors; return what is published of them."""
         belief = self._belief
-        belief.keep(estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level)
+        public_estimate = belief.keep(
+            estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level
+        )
         if self._speed is not None:
             self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
+        return public_estimate
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""

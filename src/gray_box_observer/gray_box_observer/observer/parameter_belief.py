@@ -93,7 +93,7 @@ class ParameterBelief:
 
     def keep(
         self, estimate: Estimate, motors: Any, *, is_frozen: bool, follows_level: bool = True
-    ) -> None:
+    ) -> Estimate:
         """Keep the beliefs of some motors, and whether all is identified; freezing keeps that.
 
         Args:
@@ -101,12 +101,15 @@ class ParameterBelief:
             motors: index of these on the motor axis.
             is_frozen: whether learning is stopped.
             follows_level: whether to look if the voltage has moved; else that was restored.
+
+        Returns:
+            What is published of these.
         """
+        if not is_frozen and self.level is not None and follows_level:
+            self.level.follow(self.context_nodes)
+        public_estimate = self.published(estimate, motors)
         if not is_frozen:
-            if self.level is not None and follows_level:
-                self.level.follow(self.context_nodes)
             flags = _known_flags(estimate)
-            public_estimate = self.published(estimate, motors)
             self._keep_flags(
                 motors,
                 flags.all(axis=1),
@@ -117,6 +120,7 @@ class ParameterBelief:
         else:
             self.theta, self.covariance = self.theta.copy(), self.covariance.copy()
             self.theta[motors], self.covariance[motors] = estimate.value, estimate.covariance
+        return public_estimate
 
     def _keep_flags(self, motors: Any, is_identified: Any, known_flags: Any) -> None:
         self.is_identified = self.is_identified.copy()
