@@ -112,7 +112,7 @@ class ParameterBelief:
             flags = _known_flags(estimate)
             self._keep_flags(
                 motors,
-                flags.all(axis=1),
+                [all(row) for row in flags],
                 flags if public_estimate is estimate else _known_flags(public_estimate),
             )
         if estimate.value.shape[0] == self._places.size:
@@ -164,6 +164,6 @@ class ParameterBelief:
         self._keep_flags(slice(motor, motor + 1), is_identified, flags)
 
 
-def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:
-    """Tell of every motor and parameter whether it counts as known, shape (motor, parameter)."""
-    return np.array([[v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts])
+def _known_flags(estimate: Estimate) -> list[list[bool]]:
+    """Tell of every motor, and of every parameter of it, whether it counts as known."""
+    return [[verdict in COUNTS_AS_KNOWN for verdict in row] for row in estimate.verdicts]
