@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, MeasuredSpeedUpdate
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
