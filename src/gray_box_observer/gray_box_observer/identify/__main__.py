@@ -1,6 +1,6 @@
-"""``python -m gray_box_observer.identify``: the command without ROS's tools."""
+"""``python -m gray_box_observer.identify``: the command without ROS's tools, and just the same."""
 
-from gray_box_observer.identify.command import main
+from gray_box_observer.executables import identify
 
 if __name__ == '__main__':
-    raise SystemExit(main())
+    raise SystemExit(identify())
