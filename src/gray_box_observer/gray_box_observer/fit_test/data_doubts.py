@@ -149,12 +149,13 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
         noise_a: standard deviation of their noise; of a step of the readings or less nothing can be
             told.
     """
-    step_a = float(quantisation_step(current_a[None])[0])
-    if noise_a < SEVERAL_STEPS * step_a or noise_a <= NOISELESS * float(np.std(current_a)):
+    if noise_a <= NOISELESS * float(np.std(current_a)):
         return None
     for limit_a in (float(current_a.max()), float(current_a.min())):
         share = float(np.mean(current_a == limit_a))
         if share >= CLIPPED and share * current_a.size >= FEWEST_CLIPPED:
+            if noise_a < SEVERAL_STEPS * float(quantisation_step(current_a[None])[0]):
+                return None
             text = (
                 'widen the range of the current sensor, or drive the motor less: '
                 f'{100.0 * share:.2g} % of the '

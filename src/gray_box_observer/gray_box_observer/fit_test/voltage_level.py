@@ -23,6 +23,9 @@ NOISE_RANGE = 10.0
 def is_held(voltage_v: Array) -> bool:
     """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
     largest_v = float(np.max(np.abs(voltage_v)))
+    range_v = float(np.ptp(voltage_v))
+    if range_v > HELD_NOISY * largest_v:
+        return False
     noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
     by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
-    return float(np.ptp(voltage_v)) <= max(HELD * largest_v, by_noise_v)
+    return range_v <= max(HELD * largest_v, by_noise_v)
