@@ -30,6 +30,16 @@ sys.modules['gray_box_observer.identify.command'] = command
 executables.identify()
 """
 
+LOADED = """
+import contextlib, io, sys
+
+from gray_box_observer.identify.command import main
+
+with contextlib.redirect_stdout(io.StringIO()):
+    code = main(['identify', sys.argv[1], '--skip-predictor'])
+print(code, 'gray_box_observer.predictor' in sys.modules, 'numpy.random' in sys.modules)
+"""
+
 
 def start(*arguments: str) -> tuple[int, str, str]:
     """Start an executable in a Python without the modules; return exit code and outputs."""
@@ -160,3 +170,21 @@ def test_large_blocks_of_memory_go_back_when_they_are_freed() -> None:
     assert left['settled'] < 4e6
     if left['as it comes'] < 4e6:
         pytest.skip('this C library gives them back by itself')
+
+
+def test_python_m_identify_is_the_command_that_is_installed() -> None:
+    done = subprocess.run(
+        [sys.executable, '-m', 'gray_box_observer.identify', b'\xff.mcap'],
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    assert done.returncode == 2
+    assert 'is no UTF-8' in done.stderr
+
+
+def test_without_predictor_nothing_of_it_is_loaded() -> None:
+    done = subprocess.run(
+        [sys.executable, '-c', LOADED, str(BAG)], capture_output=True, text=True, timeout=100
+    )
+    assert done.stdout.split() == ['0', 'False', 'False'], done.stderr
