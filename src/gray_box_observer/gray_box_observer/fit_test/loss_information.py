@@ -30,7 +30,7 @@ OPEN_STD = 4.0
 CREDIBLE = 6.0
 """Standard deviations beyond which a residual counts for no more."""
 
-FLOWING = 4.0
+FLOWING = 2.0
 """Standard deviations of the noise from which a current flows."""
 
 MATERIAL_V = 0.2
