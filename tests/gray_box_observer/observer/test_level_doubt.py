@@ -150,3 +150,10 @@ def test_a_rotor_that_stands_still_leaves_its_resistance_open() -> None:
     widened = doubt.widened(estimate, VerdictSettings())
     assert widened.std[0, 1] == pytest.approx(2.0 * math.sqrt(2.0) * LOST_V / 6.0, rel=0.05)
     assert widened.verdicts[0][1] is not Verdict.IDENTIFIED
+
+
+def test_a_state_of_an_early_release_begins_anew() -> None:
+    doubt = LevelDoubt(MotorWhiteBox(tuple(NODES), 0.03, {}, True))
+    doubt.restore({'has_moved': True, 'shift': [0.0] * 3, 'half_interval_s': 0.0}, 500)
+    assert doubt.has_moved
+    assert not doubt.is_settled

@@ -155,7 +155,11 @@ class LevelDoubt:
         Raises:
             CheckpointError: it is no state that a doubt could have been in.
         """
-        has_moved, is_settled = flag(plain, 'has_moved'), flag(plain, 'is_settled')
+        has_moved = flag(plain, 'has_moved')
+        if 'information' not in plain:  # of an early release: what data tell begins anew
+            self.has_moved = has_moved
+            return
+        is_settled = flag(plain, 'is_settled')
         half_interval_s = number(plain, 'half_interval_s', 0.0, LARGEST)
         unseen = whole(plain, 'unseen', 0, MOST)
         spread = numbers(plain, 'spread', ArrayRule(self._spread.shape))
