@@ -135,6 +135,12 @@ def test_who_asks_changes_nothing_and_a_checkpoint_holds_the_doubt(
         found = observer.motors['motor']
         assert found.estimate.covariance.tobytes() == expected.estimate.covariance.tobytes()
         assert found.state()[0]['level'] == expected.state()[0]['level']
+    for observer in (silent, restored):
+        fed(record, 420, 700, observer)
+    one, other = (each.motors['motor'].state()[0]['level'] for each in (silent, restored))
+    assert one['unseen'] == other['unseen']
+    assert one['information']['intervals'] == other['information']['intervals'] > 600
+    assert np.allclose(one['spread'], other['spread'], rtol=1e-3)  # a signal history begins anew
 
 
 def test_a_rotor_that_stands_still_leaves_its_resistance_open() -> None:
