@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -75,11 +76,9 @@ class LossInformation:
         Returns:
             Whether the values explain the part nearly: about others a linearisation tells little.
         """
-        run = free_run(
-            self._white_box,
-            to_coordinates(theta),
-            SampleWindow.of_content(self._white_box, np.ascontiguousarray(content)),
-        )
+        window = SampleWindow.of_content(self._white_box, np.ascontiguousarray(content))
+        window = window.restarted(_crossings(window.state))
+        run = free_run(self._white_box, to_coordinates(theta), window)
         logarithm = np.log(theta[0])
         if self._interval_count == 0:
             self._about = logarithm
@@ -168,3 +167,14 @@ class LossInformation:
         power = numbers(plain, 'power', ArrayRule(self._power.shape))
         self._interval_count = whole(plain, 'intervals')
         self._about, self._root, self._power = about, root, power
+
+
+def _crossings(current_a: Array) -> NDArray[np.bool_]:
+    """Return the intervals in which a current changes its sign, shape (1, k) of (1, k + 1).
+
+    When within them it does, and what a loss is at small currents, no form tells exactly.
+    """
+    changes = np.sign(current_a[:, 1:]) != np.sign(current_a[:, :-1])
+    larger_a = np.maximum(np.abs(current_a[:, 1:]), np.abs(current_a[:, :-1]))
+    crossings: NDArray[np.bool_] = changes & (larger_a > KNEE * float(np.max(np.abs(current_a))))
+    return crossings

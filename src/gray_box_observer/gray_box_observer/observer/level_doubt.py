@@ -61,7 +61,7 @@ class LevelDoubt:
 
     Attributes:
         has_moved: whether the voltage has moved.
-        is_settled: whether the data have told a loss.
+        is_settled: whether the data have told a loss, at two looks in a row.
     """
 
     def __init__(self, white_box: MotorWhiteBox, *, stamps_exact: bool = False) -> None:
@@ -110,11 +110,12 @@ class LevelDoubt:
             self._information = LossInformation(self._white_box, LOST_V)
             count = remembered_count
         explains = self._information.add(nodes.theta, nodes.replay.newest(count))
+        was_open = self._place == 0 or bool(self._spread.any())
         self._place = place
         spread = self._information.spread()
         is_open = np.diagonal(spread) > TOLERATED**2
         self._spread = np.where(np.outer(is_open, is_open), spread, 0.0)
-        self.is_settled = explains and not is_open.any()
+        self.is_settled = explains and not was_open and not is_open.any()
 
     def widened(self, estimate: Estimate, rules: VerdictSettings) -> Estimate:
         """Return an estimate with the doubt added to covariance and verdicts.
