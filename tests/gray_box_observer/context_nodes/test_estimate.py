@@ -49,3 +49,28 @@ def test_the_standard_deviation_is_the_root_of_the_diagonal() -> None:
         0, (PARAMETER,) * 2, np.ones((1, 2)), covariance, ((Verdict.CONVERGING,) * 2,)
     )
     np.testing.assert_array_equal(estimate.std, [[2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ('value', 'std', 'verdict'),
+    [
+        (0.5, 0.005, 'identified'),
+        (-0.5, 0.02, 'identified'),
+        (0.05, 0.02, 'converging'),
+        (-0.5, 0.08, 'converging'),
+        (0.0, 0.005, 'negligible'),
+        (0.02, 0.004, 'negligible'),
+        (0.02, 1e-4, 'identified'),
+    ],
+)
+def test_a_parameter_of_either_sign_is_judged_against_the_voltage(
+    value: float, std: float, verdict: str
+) -> None:
+    share = 1.0 / 10.0  # of 10 V
+    assert VerdictSettings().judge_signed(value, std, share).value == verdict
+
+
+def test_of_a_voltage_that_is_not_known_a_parameter_of_either_sign_is_judged_by_itself() -> None:
+    rules = VerdictSettings()
+    assert rules.judge_signed(0.5, 0.005, 0.0) is Verdict.IDENTIFIED
+    assert rules.judge_signed(0.0, 1e-6, 0.0) is Verdict.CONVERGING

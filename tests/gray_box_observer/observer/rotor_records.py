@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.observer.observer import Observer
@@ -27,6 +30,22 @@ def recorded(
         speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis',
     )  # fmt: skip
     return simulation.record(duration_s)
+
+
+def driven(plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3) -> Recording:
+    """Record a motor under a given voltage at 1 kHz, with 1 % noise."""
+    simulation = Simulation(
+        {'motor': plant}, 'external', seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
+        speed_mode='rotor',
+    )  # fmt: skip
+    samples = []
+    for volts in voltage_v.tolist():
+        simulation.command('motor', volts)
+        samples.append(simulation.step())
+    stamps = np.array([sample.stamp_ns for sample in samples])
+    names = ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
+    signals = (np.stack([getattr(one, name) for one in samples], axis=1) for name in names)
+    return Recording(('motor',), stamps, *signals)
 
 
 def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, recorded
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
@@ -155,6 +155,50 @@ def test_while_the_current_keeps_its_sign_nothing_leans_on_the_choice(
     assert values['resistance'][0] == pytest.approx(GEAR_MOTOR.resistance, rel=0.02)
     assert values['resistance'][2] == 'identified'
     assert not view.estimate.identified(0)
+
+
+@pytest.mark.parametrize('named', ['brush_drop', 'voltage_offset'])
+@pytest.mark.parametrize('offset_v', [0.0, 0.5])
+def test_an_effect_that_the_user_has_named_is_believed_where_it_differs_from_its_twin(
+    named: str, offset_v: float
+) -> None:
+    plant = replace(THESIS_MOTOR, brush_drop=0.5 - offset_v)
+    nodes = {
+        'motor.context_nodes': [*NODES_OF_THESIS, named],
+        'motor.speed_source': 'torque_constant',
+    }
+    forward = fed(recorded(plant, 'R[3,10]D[0.05,0.5]', 3.0, 1), offset_v, speed=False, **nodes)
+    values = values_of(forward.motors['motor'])
+    assert values[named][2] in ('converging', 'unexcited')
+    assert values[named][1] > 0.4
+    assert values['resistance'][0] == pytest.approx(2.0, abs=3.0 * values['resistance'][1])
+    both = fed(recorded(plant, 'R[-10,10]D[0.05,0.5]', 3.0, 1), offset_v, speed=False, **nodes)
+    for name, (value, std, verdict) in values_of(both.motors['motor']).items():
+        true = offset_v if name == 'voltage_offset' else getattr(plant, name)
+        assert verdict in ('identified', 'negligible', 'converging'), name
+        assert abs(value - true) < max(4.0 * std, 0.02 * abs(true)), name
+
+
+def test_a_named_effect_that_is_another_one_leaves_back_emf_open_beside_a_measured_speed() -> None:
+    nodes = {'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant', 'brush_drop']}
+    time_s = np.arange(1200) * 1e-3
+    volts = np.where((time_s // 0.2) % 2 == 0.0, 5.0, 9.0)
+    motor = fed(driven(GEAR_MOTOR, volts), 0.5, **nodes).motors['motor']
+    values = values_of(motor)
+    for name in ('resistance', 'back_emf_constant'):
+        value, _, verdict = values[name]
+        error = abs(value / getattr(GEAR_MOTOR, name) - 1.0)
+        assert verdict != 'identified' or error < 0.02, name
+    assert values['brush_drop'][2] != 'identified' or 'voltage_offset' in values
+
+
+def test_an_offset_is_identified_where_its_sign_is_known_and_negligible_near_zero() -> None:
+    nodes = {'motor.context_nodes': ['inductance', 'resistance', 'voltage_offset']}
+    record = recorded(GEAR_MOTOR, LIVELY, 1.0, 1)
+    none, some = (fed(record, volts, **nodes).motors['motor'] for volts in (0.0, -0.3))
+    assert values_of(none)['voltage_offset'][2] == 'negligible'
+    assert values_of(some)['voltage_offset'][2] == 'identified'
+    assert none.estimate.identified(0)
 
 
 def made(**values: object) -> MotorObserver:

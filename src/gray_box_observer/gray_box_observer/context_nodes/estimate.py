@@ -160,6 +160,10 @@ def bounded(value: Array, covariance: Array) -> Array:
     return np.where(finite[:, None, None], covariance, unknown)
 
 
+SIGN_STDS = 3.0
+"""Standard deviations that a parameter must be away from zero for its sign to be known."""
+
+
 @dataclass(frozen=True, slots=True)
 class VerdictSettings:
     """When a parameter counts as identified.
@@ -211,6 +215,27 @@ class VerdictSettings:
                 (most < self.negligible_share) & (code != _IDENTIFIED), _NEGLIGIBLE, code
             )
         return verdicts_of(code)
+
+    def judge_signed(self, value: float, std: float, share: float) -> Verdict:
+        """Judge a parameter of either sign that its logarithm's deviation would call identified.
+
+        Args:
+            value: of it, in SI units.
+            std: standard deviation, likewise.
+            share: of the voltage that one unit of it takes; 0: not known.
+
+        Returns:
+            ``identified`` where its sign is known, and it itself to what may be neglected of the
+            voltage; ``negligible`` where it takes no more than that; else ``converging``.
+        """
+        size = abs(value)
+        if std <= self.identified_relative_std * size:
+            return Verdict.IDENTIFIED
+        if (size + SIGN_STDS * std) * share < self.negligible_share and share > 0.0:
+            return Verdict.NEGLIGIBLE
+        is_sharp = 0.0 < std * share <= self.negligible_share
+        has_sign = size > SIGN_STDS * std
+        return Verdict.IDENTIFIED if is_sharp and has_sign else Verdict.CONVERGING
 
 
 def verdicts_of(codes: NDArray[np.integer[Any]]) -> tuple[tuple[Verdict, ...], ...]:

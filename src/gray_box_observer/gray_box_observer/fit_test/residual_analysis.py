@@ -98,7 +98,7 @@ class ResidualAnalysis:
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
         swap_shifts: shape (twin, parameter): by how much the logarithms of the parameters would
-            move with each effect that looks like an added one.
+            move with each effect that looks like one of the white box.
     """
 
     samples: int
@@ -145,7 +145,6 @@ def analyse(
     p: Array,
     stretch: SampleWindow,
     is_drifting: bool = False,
-    added_effects: tuple[str, ...] = (),
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor.
 
@@ -154,7 +153,6 @@ def analyse(
         p: shape (1, coordinate): published values as coordinates.
         stretch: the newest samples, with a motor axis of one.
         is_drifting: whether what heats is known to drift, which is no misfit then.
-        added_effects: context nodes that data have added.
     """
     run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
     step_a = float(quantisation_step(stretch.state)[0])
@@ -186,7 +184,7 @@ def analyse(
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
-        swap_shifts=swap_shifts(white_box, run, to_parameters(p)[0], noise_a, added_effects),
+        swap_shifts=swap_shifts(white_box, run, to_parameters(p)[0], noise_a),
     )
 
 

@@ -1,8 +1,8 @@
 """Effects that look alike, and what the parameters would be with the other one.
 
 A voltage that is lost against the current and an offset are the same as long as the current keeps
-its sign. Where data have led to one of them, and the other one explains them as well, nothing may
-be believed that leans on the choice.
+its sign. Where one of them was added by data or named by the user, and the other one explains the
+data as well, nothing may be believed that leans on the choice.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ TOLD_APART = 10.0
 """Log-likelihood by which one of them must explain the data better than the other one."""
 
 
-def swap_shifts(
-    white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float, added_effects: tuple[str, ...]
-) -> Array:
+def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float) -> Array:
     """Return how the logarithms of the parameters move where a twin takes an effect's place.
 
     An offset may be one of the voltage, or of the current: there it goes through every effect of
@@ -36,13 +34,13 @@ def swap_shifts(
         run: its free run at the present values.
         theta: shape (parameter,): these.
         noise_a: standard deviation of the residual.
-        added_effects: context nodes that data have added; what the user has named is no question.
 
     Returns:
         Shape (twin, parameter): a row for every twin that explains the data as well.
     """
     names = [parameter.name for parameter in white_box.parameters]
-    questions = [name for name in added_effects if name in TWINS and TWINS[name] not in names]
+    terms = {*names, *white_box.given}
+    questions = [name for name in names if name in TWINS and TWINS[name] not in terms]
     if not questions:
         return np.empty((0, len(names)))
     own = names.index(questions[0])

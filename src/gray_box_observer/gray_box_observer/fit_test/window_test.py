@@ -203,7 +203,6 @@ class WindowTest:
                 to_coordinates(theta),
                 window,
                 is_drifting,
-                self.configuration.added_effects,
             )
         judgement = judge(
             analysis,

@@ -1,9 +1,11 @@
-"""Doubt about a voltage that has never moved: brushes or driver may have taken a part of the level.
+"""Doubt about what reaches the motor: brushes or driver may take a part of the voltage.
 
-Where the speed is measured, resistance and back-EMF share the level, and no residual tells what is
-lost of it. The only transient began before the data or with them, so that L leans on an instant
-that is known to half a sample interval. Both go into the covariance where estimates are made known,
-until the voltage moves.
+Where the speed is measured, resistance and back-EMF share a level of the voltage, and no residual
+tells what is lost of it. Nor do two levels of opposite sign. So an estimate is believed as far as
+it does not lean on a loss, or an offset, that data leave open
+(:mod:`~gray_box_observer.fit_test.loss_information`). Until the voltage has moved, the only
+transient began before the data or with them. L then leans on an instant that is known to half a
+sample interval. Both go into the covariance where estimates are made known.
 """
 
 from __future__ import annotations
@@ -15,33 +17,43 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
-from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test.loss_information import LossInformation
 from gray_box_observer.fit_test.policy import UNIFORM_STD
 from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.observer.scale_doubt import limited
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
+    MOST,
     ArrayRule,
-    check_array,
-    entry,
     flag,
+    group,
     number,
+    numbers,
+    whole,
 )
-from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array
 
 LOST_V = 0.5
-"""Standard deviation of what may be lost of a level, in V."""
+"""Standard deviation of what may be lost of a voltage, and of an offset, in V."""
 
-FEWEST, MOST = 128, 2048
-"""Samples of a level from which it is in doubt, for a move is waited for so long; and newest ones,
-at most, that tell what share of it falls on each parameter."""
+FEWEST = 128
+"""Samples of the first look, for a move is waited for so long."""
+
+SHORTEST_PART, LONGEST_PART = 32, 2048
+"""Samples between two looks: a sixteenth of all within these; of more the newest are looked at."""
+
+LOOKED_AT_ANEW = 1024
+"""First samples that every look takes in anew, for the values were far off when they came."""
+
+TOLERATED = 0.01
+"""Deviation of a logarithm, by loss and offset, up to which it is no doubt: half of what a
+parameter may have that is identified."""
 
 
 class LevelDoubt:
-    """Widens the estimates of one motor whose speed is measured, until its voltage moves.
+    """Widens the estimates of one motor whose speed is measured, until data tell a loss.
 
     Args:
         white_box: its physics.
@@ -49,50 +61,61 @@ class LevelDoubt:
 
     Attributes:
         has_moved: whether the voltage has moved.
+        is_settled: whether the data have told a loss, at two looks in a row.
     """
 
     def __init__(self, white_box: MotorWhiteBox, *, stamps_exact: bool = False) -> None:
         self._white_box = white_box
         self._stamps_exact = stamps_exact
         self.has_moved = False
-        self._shift = np.zeros(len(white_box.parameters))
+        self.is_settled = False
+        self._information = LossInformation(white_box, LOST_V)
+        self._place = 0  # of the newest sample that was looked at
+        count = len(white_box.parameters)
+        self._spread = np.zeros((count, count))
         self._half_interval_s = 0.0
 
     def follow(self, nodes: ContextUpdate) -> None:
-        """Look whether the voltage has moved, and what a loss would do to the parameters.
+        """Look at what has come: whether the voltage has moved, and whether a loss is told.
 
         Args:
             nodes: the rule that has learnt the motor.
         """
-        if self.has_moved:
+        if self.has_moved and self.is_settled:
             return
-        count = int(min(nodes.replay.remembered()[0], MOST))
-        if count < FEWEST:
+        remembered_count = int(nodes.replay.remembered()[0])
+        if remembered_count < FEWEST:
             return
-        samples = nodes.replay.newest(count)[:, 0]
+        if not self.has_moved:
+            self._follow_moves(nodes.replay.newest(min(remembered_count, LONGEST_PART))[:, 0])
+        if not self.is_settled:
+            self._follow_loss(nodes, remembered_count)
+
+    def _follow_moves(self, samples: Array) -> None:
+        """Look whether the voltage has moved, shape (signal, n)."""
         self.has_moved = not is_held(samples[VOLTAGE, 1:])
         if self.has_moved:
-            self._shift, self._half_interval_s = np.zeros_like(self._shift), 0.0
-            return
-        self._shift = self._shift_by_loss(samples)
-        if not self._stamps_exact:
+            self._half_interval_s = 0.0
+        elif not self._stamps_exact:
             self._half_interval_s = UNIFORM_STD * float(np.median(samples[INTERVAL, 1:]))
 
-    def _shift_by_loss(self, samples: Array) -> Array:
-        """Return what LOST_V does to the parameters; those of which nothing is told keep theirs."""
-        white_box, volts = self._white_box, samples[VOLTAGE, 1:]
-        signals = (white_box.state(samples[TORQUE]), samples[SPEED], samples[INTERVAL, 1:])
-        columns, target = integrated_regressors(white_box, volts, *signals)
-        _, more = integrated_regressors(white_box, volts - LOST_V, *signals)
-        scale = np.linalg.norm(columns, axis=0)
-        shift = np.zeros_like(self._shift)
-        has_share = scale > 0.0
-        if np.isfinite(columns).all() and has_share.any():
-            columns, scale = columns[:, has_share], scale[has_share]
-            shift[has_share] = (
-                np.linalg.lstsq(columns / scale, more - target, rcond=1e-9)[0] / scale
-            )
-        return shift
+    def _follow_loss(self, nodes: ContextUpdate, remembered_count: int) -> None:
+        """Look what the samples since the last look tell of a loss."""
+        place = int(nodes.replay.received[0])
+        new_count = place - self._place
+        if new_count < min(max(place // 16, SHORTEST_PART), LONGEST_PART):
+            return
+        count = min(new_count + 1, remembered_count, LONGEST_PART)
+        if place <= LOOKED_AT_ANEW:
+            self._information = LossInformation(self._white_box, LOST_V)
+            count = remembered_count
+        explains = self._information.add(nodes.theta, nodes.replay.newest(count))
+        was_open = self._place == 0 or bool(self._spread.any())
+        self._place = place
+        spread = self._information.spread()
+        is_open = np.diagonal(spread) > TOLERATED**2
+        self._spread = np.where(np.outer(is_open, is_open), spread, 0.0)
+        self.is_settled = explains and not was_open and not is_open.any()
 
     def widened(self, estimate: Estimate, rules: VerdictSettings) -> Estimate:
         """Return an estimate with the doubt added to covariance and verdicts.
@@ -101,35 +124,46 @@ class LevelDoubt:
             estimate: of the motor.
             rules: what a verdict asks for.
         """
-        if not (self._shift.any() or self._half_interval_s > 0.0):
+        if not (self._spread.any() or self._half_interval_s > 0.0):
             return estimate
-        electrical = self._shift.size
+        electrical = self._spread.shape[0]
         covariance = estimate.covariance.copy()
-        covariance[0, :electrical, :electrical] += np.outer(self._shift, self._shift)
-        values = self._white_box.values(estimate.value[0, :electrical])
+        value = estimate.value[0, :electrical]
+        covariance[0, :electrical, :electrical] += self._spread * np.outer(value, value)
+        values = self._white_box.values(value)
         covariance[0, 0, 0] += (self._half_interval_s * values.get('resistance', 0.0)) ** 2
         verdicts = limited(estimate.verdicts[0], estimate.value[0], covariance[0], rules)
         return replace(estimate, covariance=covariance, verdicts=(verdicts,))
 
-    def state(self) -> dict[str, Any]:
-        """Everything, as plain values for a checkpoint."""
+    def state(self, place: int) -> dict[str, Any]:
+        """Everything, as plain values for a checkpoint; its place counts back from the newest."""
         return {
             'has_moved': self.has_moved,
-            'shift': self._shift.tolist(),
+            'is_settled': self.is_settled,
+            'unseen': place - self._place,
+            'spread': self._spread.tolist(),
             'half_interval_s': self._half_interval_s,
+            'information': self._information.state(),
         }
 
-    def restore(self, plain: Mapping[str, Any]) -> None:
+    def restore(self, plain: Mapping[str, Any], place: int) -> None:
         """Take back what :meth:`state` gave.
+
+        Args:
+            plain: of a state.
+            place: of the newest sample.
 
         Raises:
             CheckpointError: it is no state that a doubt could have been in.
         """
         has_moved = flag(plain, 'has_moved')
+        if 'information' not in plain:  # of an early release: what data tell begins anew
+            self.has_moved = has_moved
+            return
+        is_settled = flag(plain, 'is_settled')
         half_interval_s = number(plain, 'half_interval_s', 0.0, LARGEST)
-        try:
-            shift = np.array(entry(plain, 'shift'), dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise CheckpointError('level.shift is no list of numbers') from None
-        check_array('level.shift', shift, ArrayRule(self._shift.shape, -LARGEST, LARGEST))
-        self.has_moved, self._shift, self._half_interval_s = has_moved, shift, half_interval_s
+        unseen = whole(plain, 'unseen', 0, MOST)
+        spread = numbers(plain, 'spread', ArrayRule(self._spread.shape))
+        self._information.restore(group(plain, 'information'))
+        self.has_moved, self.is_settled, self._place = has_moved, is_settled, place - unseen
+        self._spread, self._half_interval_s = spread, half_interval_s

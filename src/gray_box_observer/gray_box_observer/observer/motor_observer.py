@@ -465,7 +465,7 @@ class MotorObserver:
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
         if self._belief.level is not None:
-            content['level'] = self._belief.level.state()
+            content['level'] = self._belief.level.state(place)
         alarm = {} if self.alarm is None else self.alarm.state(motor)
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
         return content, {
@@ -500,9 +500,9 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
-        if self._belief.level is not None and 'level' in plain:
-            self._belief.level.restore(group(plain, 'level'))
         place = int(self.context_nodes.replay.received[motor])
+        if self._belief.level is not None and 'level' in plain:
+            self._belief.level.restore(group(plain, 'level'), place)
         self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.form_choice.restore(

@@ -7,12 +7,13 @@ not known of the scales, and parts that were known.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, MeasuredSpeedUpdate
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
@@ -88,7 +89,24 @@ class ParameterBelief:
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
-        return estimate.with_known_parts(self._known_parts)
+        return self._signed(estimate.with_known_parts(self._known_parts), motors)
+
+    def _signed(self, estimate: Estimate, motors: Any) -> Estimate:
+        """Judge parameters of either sign by themselves, not by their distance from a bound."""
+        places = np.flatnonzero(self._known_parts).tolist()
+        if not places:
+            return estimate
+        std, verdicts = estimate.std, [list(row) for row in estimate.verdicts]
+        for row, motor in enumerate(self._places[motors].tolist()):
+            shares = self.context_nodes.voltage_shares(motor)[0]
+            for place in places:
+                if verdicts[row][place] is Verdict.IDENTIFIED:
+                    verdicts[row][place] = self.context_nodes.verdict_rules.judge_signed(
+                        float(estimate.value[row, place]),
+                        float(std[row, place]),
+                        float(shares[place]),
+                    )
+        return replace(estimate, verdicts=tuple(tuple(row) for row in verdicts))
 
     def keep(
         self, estimate: Estimate, motors: Any, *, is_frozen: bool, follows_level: bool = True

@@ -224,6 +224,20 @@ def number_or_none(plain: Any, name: str, low: float, high: float) -> float | No
     return None if entry(plain, name) is None else number(plain, name, low, high)
 
 
+def numbers(plain: Any, name: str, rule: ArrayRule) -> Array:
+    """Return nested lists of numbers of a group as an array.
+
+    Raises:
+        CheckpointError: they are none, or break the rule.
+    """
+    try:
+        array = np.array(entry(plain, name), dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise CheckpointError(f'{name} is no list of numbers') from None
+    check_array(name, array, rule)
+    return array
+
+
 def check_generator(plain: Any) -> None:
     """Refuse what is no state of numpy's default generator, as its own ``state`` gives it.
 

@@ -74,6 +74,10 @@ class WhiteBox(Protocol):
         """What is known of every unknown parameter, shape (parameter,): 0 of nearly all."""
 
     @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the terms whose values are known, or known in part."""
+
+    @property
     def states(self) -> tuple[int, ...]:
         """Numbers of the states that it has."""
 
