@@ -45,6 +45,25 @@ def completed(pieces: Pieces[Result]) -> Result:
             return result
 
 
+def bounded(work: Pieces[Result], most: int) -> Pieces[Result | None]:
+    """Go on with some work until it has taken so much in all; its result, None where it took more.
+
+    Args:
+        work: what is to be done.
+        most: work that it may take.
+    """
+    spent_work = 0
+    while spent_work <= most:
+        try:
+            size = next(work)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+        spent_work += size
+        yield size
+    return None
+
+
 class WorkBudget:
     """How much work may be done, by the number of samples that have come.
 

@@ -326,7 +326,7 @@ class MeasuredSpeedUpdate:
             self._is_noisy &= self._failures < MOST_FAILURES
             count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
-            rest = max(rest, self._failures * (now - place))
+            rest = max(rest, 2 * self._failures * (now - place))
             self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0

@@ -15,7 +15,7 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
     fit_outputs,
     fit_outputs_again,
 )
-from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.rotor_estimator import (
@@ -31,6 +31,10 @@ from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
+
+MOST_WORK = 3 * SAVED
+"""Work of a search from anywhere: what explains a window is found with less. Of the motors that
+nothing explains it is given up, and more samples are waited for."""
 
 
 class OutputUpdate(RotorUpdate):
@@ -93,9 +97,8 @@ class OutputUpdate(RotorUpdate):
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
-        return self._noted(
-            (yield from fit_outputs(self._white_box, window, prior, starts, self._tried_walk))
-        )
+        search = fit_outputs(self._white_box, window, prior, starts, self._tried_walk)
+        return self._noted((yield from bounded(search, MOST_WORK)))
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
         before = FitBefore(self.theta[0], self._walk, self._unit_a_s, self._has_rivals)
