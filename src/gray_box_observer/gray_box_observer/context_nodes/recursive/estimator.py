@@ -134,13 +134,16 @@ class RecursiveEstimator:
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Samples left out, state kicks, changes, and drift, of one motor or of all."""
-        selection, state = slice(None) if motor is None else slice(motor, motor + 1), self._state
-        return {
-            'torque outliers': int(state.outliers[selection].sum()),
-            'state kicks': int(state.kicks[selection].sum()),
-            'motor changes': int(state.change_count[selection].sum()),
-            'motors that drift': int(np.sum(state.walk_rate[selection] > 0.0)),
+        state = self._state
+        counts = {
+            'torque outliers': state.outliers,
+            'state kicks': state.kicks,
+            'motor changes': state.change_count,
+            'motors that drift': state.walk_rate > 0.0,
         }
+        if motor is None:
+            return {name: int(count.sum()) for name, count in counts.items()}
+        return {name: int(count[motor]) for name, count in counts.items()}
 
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift."""
