@@ -16,6 +16,7 @@ from gray_box_observer.context_nodes.pieces import (
     SHARE,
     Pieces,
     WorkBudget,
+    bounded,
     completed,
 )
 from gray_box_observer.errors import CheckpointError
@@ -31,6 +32,17 @@ def work(pieces: int, size: int = SIZE) -> Pieces[str]:
 
 def test_work_may_be_done_at_once() -> None:
     assert completed(work(3)) == 'done'
+
+
+@pytest.mark.parametrize(('most', 'result', 'pieces'), [(2999, None, 3), (3000, 'done', 3)])
+def test_work_that_takes_too_much_is_given_up(most: int, result: str | None, pieces: int) -> None:
+    job, done = bounded(work(3), most), 0
+    while True:
+        try:
+            done += next(job)
+        except StopIteration as end:
+            assert (end.value, done) == (result, pieces * SIZE)
+            return
 
 
 def test_a_sample_does_no_more_than_its_share_beside_one_piece() -> None:

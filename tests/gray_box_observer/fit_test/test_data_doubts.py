@@ -219,6 +219,27 @@ def test_a_short_record_contradicts_its_data_sheet_before_anything_is_identified
         assert _sheet_doubt(k, as_current, 'torque', plant.resistance, 0.0) is None, 'no sheet'
 
 
+@pytest.mark.parametrize(
+    ('inductance', 'resistance', 'names_unit'),
+    [(1e3, 1e3, True), (1e3, 1.0, False), (1e3, 1e2, False)],
+)
+def test_a_unit_is_named_where_resistance_and_inductance_are_off_alike(
+    inductance: float, resistance: float, names_unit: bool
+) -> None:
+    sheet = {'inductance': 2e-3, 'resistance': 3.0}
+    stated = {f'motor.initial.{name}': value for name, value in sheet.items()}
+    stated |= {f'motor.initial_relative_std.{name}': 0.2 for name in sheet}
+    motor = Configuration.from_flat({**stated, 'motor.context_nodes': [*sheet]}).motors['motor']
+    parameters = motor.white_box(speed_measured=True).parameters
+    value = np.array([sheet['inductance'] * inductance, sheet['resistance'] * resistance])
+    verdicts = ((Verdict.IDENTIFIED,) * len(parameters),)
+    covariance = np.diag((0.01 * value) ** 2)[None]
+    estimate = Estimate(0, parameters, value[None], covariance, verdicts)
+    suspect = doubt_of_data_sheet(motor, estimate, 'torque', None, is_duty=False)
+    assert suspect is not None
+    assert ('voltage is in mV' in suspect.remedy) == names_unit
+
+
 @drawn_motor
 @pytest.mark.parametrize(('unit', 'factor'), [('deg/s', 57.296), ('rpm', 9.5493), ('Hz', 0.159155)])
 def test_a_speed_in_another_unit_is_told_by_kb(k: int, unit: str, factor: float) -> None:

@@ -7,6 +7,7 @@ be meant, a scale or a wiring is wrong, and nothing of the motor may be believed
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gray_box_observer.context_nodes import Estimate, Verdict
@@ -99,18 +100,18 @@ def doubt_of_data_sheet(
     ]
     if not findings:
         return None
-    first = findings[0]
-    hint = (
-        _quantity_hint(motor, quantity, first)
-        or _unit_hint(first, is_duty=is_duty)
-        or 'check scales, torque_constant and which motor is meant; or mend the data sheet given'
+    first, hint = findings[0], ''
+    if _is_one_scale(first, _comparisons(motor, estimate)):
+        hint = _quantity_hint(motor, quantity, first) or _unit_hint(first, is_duty=is_duty)
+    hint = hint or (
+        'check scales, torque_constant and which motor is meant; or mend the data sheet given'
     )
     return Suspect('data_sheet', 0.5 * first.away**2, f'{first.text}: {hint}')
 
 
 @dataclass(frozen=True, slots=True)
 class _Finding:
-    """A parameter that lies far from what was given.
+    """A parameter beside what was given of it.
 
     Attributes:
         name: of the parameter.
@@ -143,6 +144,23 @@ def _all_findings(
 
 def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
     """Return the parameters that lie far from what was given."""
+    return [finding for finding in _comparisons(motor, estimate) if finding.away > FAR]
+
+
+def _is_one_scale(first: _Finding, comparisons: Sequence[_Finding]) -> bool:
+    """Tell whether resistance and inductance are off by the same factor, as far as both are known.
+
+    A wrong scale or unit changes both. What is left out of the white box may change one of them.
+    """
+    return all(
+        abs(other.log_ratio - first.log_ratio) < FAR * math.hypot(first.spread, other.spread)
+        for other in comparisons
+        if other.name in SCALED_BY_CURRENT
+    )
+
+
+def _comparisons(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
+    """Return the parameters that are identified beside what was given, far from it or not."""
     findings = []
     for j, parameter in enumerate(estimate.parameters):  # mechanics of a measured speed among them
         initial = float(motor.values[f'initial.{parameter.name}'])
@@ -154,11 +172,10 @@ def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
         spread = math.hypot(given_spread, float(estimate.std[0, j]) / value)
         log_ratio = math.log(value / initial)
         away = abs(log_ratio) / spread
-        if away > FAR:
-            distance = _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
-            text = f'{parameter.name} of {value:.3g} {parameter.unit} is {distance}'
-            is_sheet = relative_std > 0.0
-            findings.append(_Finding(parameter.name, text, log_ratio, spread, is_sheet))
+        distance = _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
+        text = f'{parameter.name} of {value:.3g} {parameter.unit} is {distance}'
+        is_sheet = relative_std > 0.0
+        findings.append(_Finding(parameter.name, text, log_ratio, spread, is_sheet))
     return findings
 
 
