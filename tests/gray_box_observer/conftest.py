@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,8 @@ from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 Message = tuple[str, int, bytes]
 """Topic, time in the bag in ns, and content."""
