@@ -70,7 +70,7 @@ def readings(sensor: str, duration_s: float = 3.0) -> tuple[Sample, ...]:
 def rule() -> MeasuredSpeedUpdate:
     """A rule that knows nothing yet."""
     return MeasuredSpeedUpdate(
-        MEASURED, START, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2))
+        MEASURED, START, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2))
     )
 
 
@@ -120,7 +120,7 @@ def test_the_lag_of_the_speed_is_told(sensor: str, lag_us: int) -> None:
 
 def test_an_exact_speed_leaves_the_recursive_rule_alone_bit_for_bit() -> None:
     samples = readings('exact')
-    alone = RecursiveEstimator(MEASURED, START, RecursiveSettings())
+    alone = RecursiveEstimator(MEASURED, START, 0, RecursiveSettings())
     update = learnt(samples)
     learnt(samples, alone)
     assert not update.is_noisy
@@ -203,7 +203,7 @@ def test_a_parameter_that_is_truly_zero_is_negligible() -> None:
     box = MotorWhiteBox(nodes, KT, {'back_emf_constant': KB}, True)
     start = np.array([[1.5, 3.0, 1.0]])
     update = MeasuredSpeedUpdate(
-        box, start, RecursiveSettings(), VerdictSettings(), np.zeros((1, 3))
+        box, start, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 3))
     )
     estimate = learnt(readings('noisy'), update).estimate()
     assert update.is_noisy

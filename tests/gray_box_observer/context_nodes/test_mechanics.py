@@ -147,7 +147,7 @@ def rule() -> MeasuredSpeedUpdate:
     rotor = Mechanics(NODES[ROTOR], [1e-5, 1e-5, 1e-3], [0.0] * 3)
     box = MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}, True)
     return MeasuredSpeedUpdate(
-        box, np.array([[1.5, 3.0]]), RecursiveSettings(), VerdictSettings(), np.zeros((1, 2)),
+        box, np.array([[1.5, 3.0]]), 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2)),
         rotor,
     )  # fmt: skip
 

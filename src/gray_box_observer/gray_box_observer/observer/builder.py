@@ -47,6 +47,9 @@ from gray_box_observer.white_box import MotorWhiteBox
 if TYPE_CHECKING:  # loaded where something is predicted
     from gray_box_observer.predictor import AlarmSettings, Forecasting, TorquePredictor, Training
 
+UNUSED_SEED = 0
+"""Of a rule that draws nothing."""
+
 TrainingFactory = Callable[[dict[str, Any]], 'Training']
 
 
@@ -241,8 +244,10 @@ def context_nodes(
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
-        return MeasuredSpeedUpdate(white_box, initial, rules, verdicts, relative_std, mechanics)
-    return RecursiveEstimator(white_box, initial, rules, verdicts, relative_std)
+        return MeasuredSpeedUpdate(
+            white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics
+        )
+    return RecursiveEstimator(white_box, initial, UNUSED_SEED, rules, verdicts, relative_std)
 
 
 def _mechanics(motor: MotorConfiguration) -> Mechanics | None:

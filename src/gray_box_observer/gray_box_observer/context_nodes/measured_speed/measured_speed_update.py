@@ -106,6 +106,7 @@ class MeasuredSpeedUpdate:
     Args:
         white_box: the physics of one motor; see :func:`can_be_output`.
         initial: shape (1, parameter): where to start, SI units.
+        seed: unused; every rule takes one.
         rules: settings of the recursive rule.
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
@@ -118,6 +119,7 @@ class MeasuredSpeedUpdate:
         self,
         white_box: MotorWhiteBox,
         initial: Array,
+        seed: int,
         rules: RecursiveSettings,
         verdict_rules: VerdictSettings,
         initial_relative_std: Array,
@@ -127,7 +129,7 @@ class MeasuredSpeedUpdate:
         self._mechanics = mechanics
         rotor = mechanics or DEFAULT_MECHANICS
         self._exact = RecursiveEstimator(
-            white_box, initial, rules, verdict_rules, initial_relative_std
+            white_box, initial, seed, rules, verdict_rules, initial_relative_std
         )
         whole_box = MotorWhiteBox(
             (*white_box.context_nodes, *rotor.nodes),

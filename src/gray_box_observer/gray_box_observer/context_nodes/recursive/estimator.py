@@ -65,6 +65,7 @@ class RecursiveEstimator:
     Args:
         white_box: the physics.
         initial: shape (motor, parameter): where to start, SI units.
+        seed: unused; every rule takes one.
         rules: settings.
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known,
@@ -75,6 +76,7 @@ class RecursiveEstimator:
         self,
         white_box: WhiteBox,
         initial: Array,
+        seed: int = 0,
         rules: RecursiveSettings | None = None,
         verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
