@@ -62,7 +62,7 @@ def contradiction(
         estimate: of this motor alone.
         quantity: what the torque signal is taken for: ``torque`` or ``current``.
     """
-    findings = _findings(motor, estimate)
+    findings = _far_off(_comparisons(motor, estimate))
     if not findings:
         return None
     remedy = (
@@ -91,9 +91,10 @@ def doubt_of_data_sheet(
         balance: its voltage balance, fitted without the data sheet; None where there is none.
         is_duty: whether the voltage may be a duty cycle.
     """
+    comparisons = _comparisons(motor, estimate)
     findings = [
         finding
-        for finding in _all_findings(motor, estimate, balance)
+        for finding in _with_balance(_far_off(comparisons), motor, balance)
         if finding.is_sheet
         and finding.away > STDS_FROM_SHEET
         and abs(finding.log_ratio) > math.log(FAR_FROM_SHEET)
@@ -101,7 +102,7 @@ def doubt_of_data_sheet(
     if not findings:
         return None
     first, hint = findings[0], ''
-    if _is_one_scale(first, _comparisons(motor, estimate)):
+    if _is_one_scale(first, comparisons):
         hint = _quantity_hint(motor, quantity, first) or _unit_hint(first, is_duty=is_duty)
     hint = hint or (
         'check scales, torque_constant and which motor is meant; or mend the data sheet given'
@@ -133,18 +134,17 @@ class _Finding:
         return abs(self.log_ratio) / self.spread
 
 
-def _all_findings(
-    motor: MotorConfiguration, estimate: Estimate, balance: BackEmfFit | None
+def _with_balance(
+    findings: list[_Finding], motor: MotorConfiguration, balance: BackEmfFit | None
 ) -> list[_Finding]:
-    """Return what lies far from what was given; R by the balance where it is not identified."""
-    findings = _findings(motor, estimate)
+    """Add R by the voltage balance where it is not among what lies far from what was given."""
     is_known = any(finding.name == RESISTANCE for finding in findings)
     return findings if is_known else [*findings, *_findings_of_balance(motor, balance)]
 
 
-def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
+def _far_off(comparisons: Sequence[_Finding]) -> list[_Finding]:
     """Return the parameters that lie far from what was given."""
-    return [finding for finding in _comparisons(motor, estimate) if finding.away > FAR]
+    return [finding for finding in comparisons if finding.away > FAR]
 
 
 def _is_one_scale(first: _Finding, comparisons: Sequence[_Finding]) -> bool:
