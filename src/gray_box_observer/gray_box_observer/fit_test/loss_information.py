@@ -22,7 +22,7 @@ from gray_box_observer.fit_test.policy import RATIO_DOUBT
 from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
 from gray_box_observer.safe_io.saved_state import ArrayRule, numbers, whole
 from gray_box_observer.white_box import MotorWhiteBox, forms
-from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 from gray_box_observer.white_box.interface import Array
 
 OPEN_STD = 4.0
@@ -87,9 +87,7 @@ class LossInformation:
         residual_a = np.clip(run.residual_a, -limit_a, limit_a)
         least_a = SMALLEST_NOISE * float(np.max(np.abs(run.stretch.state))) + 1e-12
         noise_a = max(float(np.sqrt(np.mean(residual_a**2))), floor_a, least_a)
-        by_coordinate = run.jacobian[:, 1:]
-        by_logarithm = by_coordinate.copy()
-        by_logarithm[:, 0] = -by_coordinate.sum(axis=1)
+        by_logarithm = swapped_logarithms(run.jacobian[:, 1:])
         nuisances = [run.jacobian[:, :1], *(column[:, None] for column in run.further)]
         shapes = self._shapes(run, noise_a)
         target_a = residual_a + by_logarithm @ (logarithm - self._about)

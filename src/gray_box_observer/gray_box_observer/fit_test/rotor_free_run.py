@@ -13,7 +13,7 @@ from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.white_box.declaration import State
-from gray_box_observer.white_box.flow import to_parameters
+from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -76,7 +76,7 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
         float(theta[0]),
         whole.state[0] - runs.residual_a,
         runs.residual_a,
-        np.column_stack([by_start[0], -runs.by_parameter.sum(axis=1), runs.by_parameter[:, 1:]]),
+        np.column_stack([by_start[0], swapped_logarithms(runs.by_parameter)]),
         decay,
         whole.interval_s[0] * (1.0 - decay) / rate,
         np.ones_like(runs.residual_a),

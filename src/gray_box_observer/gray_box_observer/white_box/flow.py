@@ -53,6 +53,15 @@ def within_bounds(white_box: WhiteBox, p: Array) -> Array:
     return to_coordinates(to_parameters(p).clip(*bounds(white_box.parameters)))
 
 
+def swapped_logarithms(slopes: Array) -> Array:
+    """Turn derivatives by the coordinates' logarithms into those by the parameters', or back.
+
+    Args:
+        slopes: shape (reading, coordinate) or (reading, parameter).
+    """
+    return np.column_stack([-slopes.sum(axis=1), slopes[:, 1:]])
+
+
 def parameter_covariance(theta: Array, relative: Array) -> Array:
     """Turn a covariance of the coordinates' logarithms into that of the parameters.
 
