@@ -130,7 +130,7 @@ def test_a_trial_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
         for other in restored:
             other.step(sample)
         done = trial_of(through).get('pieces', 0)
-        if done and done not in pieces and (not pieces or done > max(pieces) + 20):
+        if done and done not in pieces and (not pieces or done > max(pieces) + 5):
             pieces.add(done)
             restored.append(made())
             restored[-1].restore(*copied(through))

@@ -19,9 +19,12 @@ from gray_box_observer.context_nodes.recursive.negligible import linear_std
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
     Scaling,
+    bounded_solution,
     inverted,
+    logarithmic_curvature,
     robust_std,
     solved,
+    step_limits,
     weighted,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import (
@@ -42,13 +45,17 @@ from gray_box_observer.white_box.flow import within_bounds
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 MAX_STEPS = 15
-TOLERANCE = 1e-6
-"""Gauss-Newton ends when no unknown moves by more, relative to itself."""
+TOLERANCE, TOLERANCE_STD = 1e-6, 1e-3
+"""Gauss-Newton ends when no unknown moves by more, relative to itself, or all of them together in
+standard deviations."""
 
 ARRIVED = 1e-4
 """Last step, relative to the unknown, of a search that ends before it has arrived: along a valley,
 as of R and Kb where the speed is that of the thesis. Its covariance is in the units of where it
 stood before."""
+
+RECOVERY = 2.0
+"""Factor by which damped steps become longer again."""
 
 CREDIBLE = 10.0
 """Times the size of the current (its 0.9 quantile): nothing is linearised about samples beyond."""
@@ -152,7 +159,7 @@ class _Search:
         self.motors: NDArray[np.intp] = np.arange(start.shape[0])
         self._white_box = white_box
         self._prior = prior
-        self._precision = inverted(prior.covariance)
+        self._prior_precision = inverted(prior.covariance)
         self._stretch = stretch
         self._restarts = np.sum(stretch.restart, axis=1)
         measured_state = stretch.state
@@ -168,12 +175,10 @@ class _Search:
             measured_state
         )  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
-        self._frame, self._covariance = (
-            Scaling(self._size, self._p),
-            prior.covariance,
-        )  # until the first step
+        self._frame = Scaling(self._size, self._p)
         unknowns = start.shape[1] + STATES
         self._information = np.zeros((start.shape[0], unknowns, unknowns))
+        self._precision = self._information
         self._begin()
 
     def _begin(self) -> None:
@@ -216,12 +221,14 @@ class _Search:
                 search._go_back(worse)
                 if np.all(worse):
                     continue
+            less_damping = np.minimum(1.0, RECOVERY * search._damping)
+            search._damping = np.where(worse, search._damping, less_damping)
             best = ~worse & (search._scale < search._best_scale)
             search._best_p = np.where(best[:, None], search._p, search._best_p)
             search._best_scale = np.where(
                 worse, search._best_scale, np.minimum(search._scale, search._best_scale)
             )
-            there = ~worse & (search._step(~worse) < TOLERANCE)
+            there = ~worse & search._step(~worse)
             if iteration > plain_steps and np.any(there):
                 converged_searches.append(search.select(there))
                 if np.all(there):
@@ -283,8 +290,8 @@ class _Search:
         first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
         return np.concatenate([first, ~self._stretch.restart], axis=1)
 
-    def _step(self, selection: NDArray[np.bool_]) -> Array:
-        """One Gauss-Newton step of some of the motors; return the largest relative move of each."""
+    def _step(self, selection: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """One Gauss-Newton step of some of the motors; tell of each if it was small."""
         n, p, prior = self._p.shape[1], self._p, self._prior
         frame = Scaling(self._size, p)
         jacobian = frame.jacobian(self._path)
@@ -298,31 +305,37 @@ class _Search:
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
-        pull[:, COORDINATES, COORDINATES] = self._precision * noise[:, None, None] ** 2
+        pull[:, COORDINATES, COORDINATES] = self._prior_precision * noise[:, None, None] ** 2
         state_information = np.maximum(information[:, CURRENT, CURRENT], self._size**2)
         pull[:, CURRENT, CURRENT] = 1e-12 * state_information + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
-        covariance = inverted(information + pull)
-        step = (
-            self._damping[:, None]
-            * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
+        precision = information + pull
+        towards_prior = (pull @ towards[..., None])[..., 0]
+        curvature = logarithmic_curvature(towards_prior, right)
+        step = self._damping[:, None] * bounded_solution(
+            precision + curvature[..., None] * np.eye(n + 1),
+            right + towards_prior,
+            *step_limits(n),
         )
-        step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
-        step[:, COORDINATES] = np.clip(step[:, COORDINATES], -0.5, 1.0)
+        step = np.where(np.isfinite(step), step, 0.0)
         about = self._path.state + (jacobian @ step[..., None])[..., 0]
         next_p = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
         if not np.all(selection):
             one, two = selection[:, None], selection[:, None, None]
             frame = Scaling(self._size, np.where(one, p, self._frame.p))
             noise = np.where(selection, noise, self._noise)
-            covariance = np.where(two, covariance, self._covariance)
+            precision = np.where(two, precision, self._precision)
             information = np.where(two, information, self._information)
             about, next_p = np.where(one, about, self._about), np.where(one, next_p, p)
-        self._frame, self._noise, self._covariance = frame, noise, covariance
-        self._information = information
+        self._frame, self._noise = frame, noise
+        self._information, self._precision = information, precision
         self._about, self._first, self._p = about, about[:, 0], next_p
-        furthest: Array = np.max(np.abs(step), axis=1)
-        return furthest
+        step[:, COORDINATES] = next_p / p - 1.0
+        distance2 = (step * (precision @ step[..., None])[..., 0]).sum(axis=1)
+        is_small: NDArray[np.bool_] = (np.abs(step).max(axis=1) < TOLERANCE) | (
+            distance2 < (TOLERANCE_STD * noise) ** 2
+        )
+        return is_small
 
     def choose_gain(self) -> NDArray[np.bool_]:
         """Adopt the gain that explains the window best, on clear evidence; tell where not 0."""
@@ -350,7 +363,7 @@ class _Search:
     def result(self) -> Fit:
         """Return where the search has ended."""
         transfer = self._frame.transfer(self._path)
-        covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
+        covariance = transfer @ inverted(self._precision) @ np.swapaxes(transfer, 1, 2)
         covariance[:, CURRENT, CURRENT] += taken_over(self._loose[:, -1]) / self._size**2
         if (short := np.abs(self._p / self._frame.p - 1.0).max(axis=1) > ARRIVED).any():
             there = self._frame.convert(covariance, Scaling(self._size, self._p))

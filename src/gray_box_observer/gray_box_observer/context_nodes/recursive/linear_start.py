@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import solved
+from gray_box_observer.context_nodes.recursive.normal_equations import bounded_solution
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -15,6 +15,9 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 RIDGE = 1e-6
 """Pull towards the initial guess, as a fraction of the mean information: decides only what data
 leave open."""
+
+FARTHEST = 1000.0
+"""Factor, at most, between the guess and where the search starts."""
 
 
 def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, window: int) -> Array:
@@ -30,7 +33,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, win
         window: samples between the two ends of a difference.
 
     Returns:
-        Shape (motor, coordinate), positive, within a factor of 30 of the guess.
+        Shape (motor, coordinate), positive, within a factor of FARTHEST of the guess.
     """
     phi, drive = integrated_regressors(
         white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
@@ -45,8 +48,9 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, win
     n = initial.shape[1]
     pull = RIDGE * np.trace(information, axis1=1, axis2=2)[:, None] / n + 1e-300
     right = np.einsum('mka,mk->ma', regressors, change * whole) + pull
-    ratio = solved(information + pull[..., None] * np.eye(n), right[..., None])[..., 0]
-    start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), 1.0 / 30.0, 30.0)
+    matrix = information + pull[..., None] * np.eye(n)
+    ratio = bounded_solution(matrix, right, np.zeros(n), np.full(n, np.inf))
+    start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), 1.0 / FARTHEST, FARTHEST)
     return start
 
 

@@ -24,6 +24,10 @@ CORRELATION_SLACK = 1e-9
 """How far the square of a correlation may lie above one: more than rounding leaves of strong ones.
 """
 
+LEAST_STEP, LEAST_BESIDE = -0.5, -0.9
+"""Relative steps, at least, of the first two coordinates, 1/L and R/L, and of those beside them:
+these may well be zero, and would take many steps to get there."""
+
 LEAST_EIGENVALUE = 1e-12
 """Of a matrix of correlations: smaller ones are rounding."""
 
@@ -113,6 +117,67 @@ def solved(matrix: Array, right: Array) -> Array:
         return np.concatenate(
             [solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])]
         )
+
+
+def bounded_solution(matrix: Array, right: Array, lowest: Array, highest: Array) -> Array:
+    """Solve normal equations for unknowns that each have bounds, by active sets.
+
+    An unknown that would lie outside is held at its bound, and the others are solved for again:
+    they would fit what was cut off. Source: Lawson and Hanson, Solving Least Squares Problems
+    (1974), chapter 23; nothing that is held is let go here.
+
+    Args:
+        matrix: shape (motor, unknown, unknown).
+        right: shape (motor, unknown).
+        lowest: shape (unknown,) or (motor, unknown): smallest values.
+        highest: likewise, largest values.
+
+    Returns:
+        Shape (motor, unknown); NaN where the equations are singular.
+    """
+    values = solved(matrix, right[..., None])[..., 0]
+    eye, free = np.eye(matrix.shape[-1]), np.ones(values.shape, dtype=bool)
+    for _ in range(matrix.shape[-1]):
+        inside = np.clip(values, lowest, highest)
+        beyond = free & (inside != values) & np.isfinite(values)
+        if not beyond.any():
+            break
+        free &= ~beyond
+        at_bounds = np.where(free, 0.0, inside)
+        rest = np.where(free, right - (matrix @ at_bounds[..., None])[..., 0], at_bounds)
+        of_free = np.where(free[..., None] & free[..., None, :], matrix, eye)
+        values = solved(of_free, rest[..., None])[..., 0]
+    result: Array = np.clip(values, lowest, highest)
+    return result
+
+
+def step_limits(coordinates: int) -> tuple[Array, Array]:
+    """Return the smallest and largest steps of one Gauss-Newton step, shape (unknown,) each.
+
+    They are relative to the coordinates and stand behind that of the first state, which is free.
+
+    Args:
+        coordinates: how many there are.
+    """
+    smallest, largest = np.full(STATES + coordinates, LEAST_BESIDE), np.ones(STATES + coordinates)
+    smallest[STATES : STATES + 2] = LEAST_STEP
+    smallest[CURRENT], largest[CURRENT] = -np.inf, np.inf
+    return smallest, largest
+
+
+def logarithmic_curvature(towards_prior: Array, right: Array) -> Array:
+    """Return the curvature that a logarithm adds to Gauss-Newton's equations, of their shape.
+
+    Data may drive a parameter to zero, and its prior alone holds it. There the slopes that nearly
+    cancel are of the first order, as the curvature of the logarithm is; without it the steps go to
+    and fro. Farther away it is left out, for it would make them short.
+
+    Args:
+        towards_prior: right-hand side of the prior.
+        right: right-hand side of the samples, of the same shape.
+    """
+    curvature: Array = np.maximum(np.minimum(towards_prior, -right), 0.0)
+    return curvature
 
 
 def inverted(matrix: Array) -> Array:

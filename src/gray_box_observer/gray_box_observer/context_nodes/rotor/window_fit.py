@@ -17,6 +17,8 @@ from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     OUTLIER,
+    bounded_solution,
+    logarithmic_curvature,
     shortest_solution,
 )
 from gray_box_observer.context_nodes.rotor.window import (
@@ -48,6 +50,10 @@ NEAR = 0.5
 
 LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
+
+LOOSE = 1.0
+"""Information of a logarithm below which a step that it makes too long is cut for it alone: a
+factor of e then moves the residual by less than its noise."""
 
 LEAST_NOISE = 3e-4
 """Smallest noise that is believed, as a share of the current's spread: what softened friction and
@@ -463,8 +469,10 @@ class _Search:
             equations = self._equations(self._weights(scale), scale)
             if any(self._is_near(there, end, equations) for there, end in ends):
                 return True
-            precision = equations.information + self.prior.precision
-            right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
+            towards_prior = self.prior.precision @ (self.prior.mean - self.logarithms)
+            curvature = np.diag(logarithmic_curvature(towards_prior, equations.right))
+            precision = equations.information + self.prior.precision + curvature
+            right = equations.right + towards_prior
             step = np.linalg.lstsq(precision, right, rcond=1e-12)[0]
             self.promised_gain = left = float(right @ step)
             self.beyond = self.logarithms + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
@@ -498,9 +506,12 @@ class _Search:
         """Take the first damped step that leads down; return the damping left, and whether any."""
         damping = at.damping
         size = np.maximum(np.diagonal(precision), 1e-12)
+        most = np.where(np.diagonal(equations.information) < LOOSE, LONGEST_STEP, np.inf)
         for attempt in range(MOST_ATTEMPTS):
             own = 0.1**attempt if attempt < FREE_ATTEMPTS else 0.0
-            step = shortest_solution(precision + damping * np.diag(size), right)
+            step = bounded_solution(
+                (precision + damping * np.diag(size))[None], right[None], -most, most
+            )[0]
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
