@@ -19,7 +19,9 @@ from gray_box_observer.context_nodes.recursive.linear_start import linear_start
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
     Scaling,
+    bounded_solution,
     robust_std,
+    step_limits,
     weighted,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
@@ -30,8 +32,10 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 
 STEPS = 12
 TOLERANCE = 0.02
-"""Gauss-Newton ends when the delay moves by less than this part of its standard deviation, or of a
-thousandth step."""
+"""Gauss-Newton ends when a step is smaller, in standard deviations of all unknowns together."""
+
+LEAST_GAIN, MOST_IDLE = 0.1, 2
+"""Log-likelihood below which a step has gained nothing, and so many of these in a row end it."""
 
 GAINS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Kalman gains tried against zero: what the white box does not explain must not be taken for a
@@ -132,8 +136,12 @@ class FineSearch:
         )
 
     def _climb(self, free: bool) -> Generator[None, None, None]:
+        least, idle = math.inf, 0
         for iteration in range(STEPS):
-            if self._step(free) and iteration > 2:
+            is_small = self._step(free)
+            gain = 0.5 * np.count_nonzero(self._valid) * math.log(least / self._noise2)
+            least, idle = min(least, self._noise2), 0 if gain > LEAST_GAIN else idle + 1
+            if iteration > 2 and (is_small or idle == MOST_IDLE):
                 return
             yield
 
@@ -177,17 +185,16 @@ class FineSearch:
         if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right))):
             return True
         self._covariance = np.linalg.inv(matrix)
-        step = self._covariance @ right[0]
-        step[1 : n + 1] = np.clip(step[1 : n + 1], -0.5, 1.0)
-        shift = float(np.clip(step[-1], -1.0, 1.0)) if free else 0.0
+        smallest, largest = step_limits(n)
         if free:
-            step[-1] = shift
+            smallest, largest = np.append(smallest, -1.0), np.append(largest, 1.0)
+        step = bounded_solution(matrix[None], right, smallest, largest)[0]
+        shift = float(step[-1]) if free else 0.0
         self._about = self._path.state + (jacobian @ step)
         self._first = self._about[:, 0]
         self._p = within_bounds(self._white_box, self._p * (1.0 + step[1 : n + 1]))
         self._delay_s = float(np.clip(self._delay_s + shift * self._interval_s, *self._reach_s))
-        spread = np.sqrt(np.maximum(self._noise2 * np.diagonal(self._covariance), 0.0))
-        return bool(np.all(np.abs(step[1:]) < TOLERANCE * np.maximum(spread[1:], 1e-4)))
+        return bool(step @ information[0] @ step < TOLERANCE**2 * self._noise2)
 
     def _by_delay(self) -> Array:
         """Derivative of the prediction by the delay in sample intervals, by central difference."""

@@ -289,11 +289,12 @@ class DelayWatch:
             )
         if not result.inside or result.evidence < EVIDENCE:
             return None
-        self._before, self._refine_at = result, 0
+        self._before = result
         near_s = result.interval_s + STDS * math.hypot(
             result.std_s, 0.0 if before is None else before.std_s
         )
         if before is None or abs(result.delay_s - before.delay_s) > near_s:
+            self._refine_at = 0  # what is news is asked again soon
             if estimate.verdict is not DelayVerdict.UNDECLARED:
                 self.estimate = replace(estimate, verdict=DelayVerdict.SUSPECTED)
             return None
