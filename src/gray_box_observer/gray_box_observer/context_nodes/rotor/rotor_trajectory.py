@@ -41,7 +41,7 @@ LARGEST_STEP = 0.5
 MOST_STEPS = 256
 """Steps in an interval; where more were needed, as many exponential ones are taken."""
 
-PATIENCE, LEAST_PATIENCE = 48, 16384
+PATIENCE, LEAST_PATIENCE = 128, 16384
 """Steps an interval, on average, and steps in all, beyond which a run is given up: such a motor is
 too fast for its samples, and a search that tries it would hold everybody up."""
 
