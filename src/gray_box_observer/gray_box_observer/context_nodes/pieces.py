@@ -18,10 +18,10 @@ Result = TypeVar('Result')
 Pieces = Generator[int, None, Result]
 """A piece of work at each ``next``, which gives its size; the result at the end."""
 
-SHARE = 192
+SHARE = 160
 """Work that every sample grants, at least."""
 
-SHARE_A_SECOND, LARGEST_SHARE = 192_000, 1920
+SHARE_A_SECOND, LARGEST_SHARE = 160_000, 1600
 """Work that a sample grants for the time since the one before, and at one sample at most: slow
 samples have more time, and their runs take more steps."""
 

@@ -30,7 +30,7 @@ from gray_box_observer.white_box.interface import Parameter
 SOON = 1024
 """Samples after which an examination has nothing to do with the one before."""
 
-FREE_EXAMINATIONS = 8
+FREE_EXAMINATIONS = 5
 """So many, one soon after the other, are not put off: a change may need a few until its samples
 tell which it was."""
 
