@@ -29,7 +29,7 @@ RECENT_WAIT = 256
 LONGEST_SOON = 512
 """Samples between two tests, at most, of a motor that does not fit and has become another one."""
 
-UNASKED = 256
+UNASKED = 128
 """Samples after which a motor is tested though nothing of it would be called identified."""
 
 MOVED = 0.1

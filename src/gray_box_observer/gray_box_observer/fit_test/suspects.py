@@ -9,10 +9,11 @@ least squares, and the likeliest comes first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.assessment import Suspect
@@ -100,6 +101,9 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
     rows, names, candidates = _balance(white_box, stretch)
     if rows.shape[1] < FEWEST_ROWS:
         return {}
+    count = rows.shape[1]
+    if count > rows.shape[0]:  # sums of squares are all that is asked of them
+        rows = np.asarray(np.linalg.qr(rows.T, mode='r')).T
     regressors = list(rows[: len(names)])
     target = rows[len(names)]
     base_rest, _ = _fit(regressors, target)
@@ -110,8 +114,8 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
         rest, weights = _fit([*regressors, *further], target)
-        gain = 0.5 * target.size / STRIDE * math.log(base_rest / rest)
-        evidence = gain - 0.5 * len(shapes) * math.log(target.size)
+        gain = 0.5 * count / STRIDE * math.log(base_rest / rest)
+        evidence = gain - 0.5 * len(shapes) * math.log(count)
         resistance = (
             float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
         )
@@ -150,6 +154,28 @@ def select_explanations(
     return best_first
 
 
+def with_delay(suspects: Sequence[Suspect], delay: Suspect) -> list[Suspect]:
+    """Return suspects with a delay that was found by a search, the likelier of it and a lag first.
+
+    A lag of the current looks like a delay. The search compares likelihoods of every sample, the
+    voltage balance those of one in STRIDE.
+
+    Args:
+        suspects: the likeliest first; their delay, if any, is that of the balance.
+        delay: as the search has found it.
+    """
+    named_suspects = [delay if one.effect == 'delay' else one for one in suspects]
+    if delay not in named_suspects:
+        named_suspects.append(delay)
+    lag = next((one for one in named_suspects if one.effect == 'current_lag'), None)
+    if lag is not None:
+        pair = [delay, lag] if delay.evidence > STRIDE * lag.evidence else [lag, delay]
+        places = sorted((named_suspects.index(delay), named_suspects.index(lag)))
+        for place, one in zip(places, pair, strict=True):
+            named_suspects[place] = one
+    return named_suspects
+
+
 def _balance(
     white_box: MotorWhiteBox, stretch: SampleWindow
 ) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
@@ -183,11 +209,9 @@ def _windowed(signals: Array, whole: Array) -> Array:
     triangle = np.concatenate([np.arange(1, WINDOW + 1), np.arange(WINDOW - 1, 0, -1)]) / WINDOW
     if count < triangle.size:
         return np.empty((signals.shape[0], 0))
-    starts = np.arange(0, count - triangle.size + 1, STRIDE)
-    windows = starts[:, None] + np.arange(triangle.size)
-    sound = whole[windows].all(axis=1)
-    rows: Array = signals[:, windows[sound]] @ triangle
-    return rows
+    sound = sliding_window_view(whole, triangle.size)[::STRIDE].all(axis=1)
+    rows: Array = sliding_window_view(signals, triangle.size, axis=1)[:, ::STRIDE] @ triangle
+    return rows if sound.all() else rows[:, sound]
 
 
 def _fit(regressors: list[Array], target: Array) -> tuple[float, Array]:

@@ -32,7 +32,12 @@ from gray_box_observer.fit_test.policy import (
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
-from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
+from gray_box_observer.fit_test.suspects import (
+    Explanation,
+    explanations,
+    select_explanations,
+    with_delay,
+)
 from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
@@ -259,7 +264,7 @@ class WindowTest:
                 suspects = self._offsets(motor, analysis) + suspects
         delay = finding.delay_suspect
         if delay is not None:
-            suspects = [delay if one.effect == 'delay' else one for one in suspects] + [delay]
+            suspects = with_delay(suspects, delay)
         range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
         is_ok = judgement.verdict is FitVerdict.OK and not is_held(motor.newest(count)[VOLTAGE, 0])
