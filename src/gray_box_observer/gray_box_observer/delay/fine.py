@@ -139,7 +139,7 @@ class FineSearch:
         least, idle = math.inf, 0
         for iteration in range(STEPS):
             is_small = self._step(free)
-            gain = 0.5 * np.count_nonzero(self._valid) * math.log(least / self._noise2)
+            gain = 0.5 * np.count_nonzero(self._valid) * np.log(least / self._noise2)
             least, idle = min(least, self._noise2), 0 if gain > LEAST_GAIN else idle + 1
             if iteration > 2 and (is_small or idle == MOST_IDLE):
                 return

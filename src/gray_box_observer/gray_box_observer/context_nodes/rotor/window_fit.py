@@ -51,9 +51,9 @@ NEAR = 0.5
 LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
 
-LOOSE = 1.0
+LOOSE = 0.1
 """Information of a logarithm below which a step that it makes too long is cut for it alone: a
-factor of e then moves the residual by less than its noise."""
+factor of e then moves chi-square by less than that."""
 
 LEAST_NOISE = 3e-4
 """Smallest noise that is believed, as a share of the current's spread: what softened friction and
