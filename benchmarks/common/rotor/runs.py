@@ -66,22 +66,24 @@ def run_trial(record: Record) -> Trial:
         estimates += [(stamp * 1e-9, one.estimate) for one in results if one.estimate is not None]
     cpu_s = time.process_time() - begun
     last = observer.estimates()[MOTOR]
-    off = last.value[0] - record.truth
+    places = _places(last, record)
+    off = last.value[0, places] - record.truth
+    covariance = last.covariance[0][np.ix_(places, places)]
     resistances = [estimate.value[0, NODES.index('resistance')] for _, estimate in estimates]
     near = np.abs(np.array(resistances) / motor.resistance - 1.0) <= NEAR
     away = np.flatnonzero(~near)
     first = 0 if away.size == 0 else int(away[-1]) + 1
     near_s = estimates[first][0] if first < len(estimates) else np.inf
-    counts = np.array([_claims(estimate, record.truth) for _, estimate in estimates])
+    counts = np.array([_claims(estimate, record) for _, estimate in estimates])
     claims, false = counts.reshape(-1, 2).sum(axis=0).tolist()
     with np.errstate(divide='ignore', invalid='ignore'):
         error = off / record.truth
     return Trial(
         error,
-        off / last.std[0],
-        float(off @ np.linalg.solve(last.covariance[0], off)) / off.size,
+        off / np.sqrt(np.diagonal(covariance)),
+        float(off @ np.linalg.solve(covariance, off)) / off.size,
         record.bound(),
-        np.array([verdict is Verdict.IDENTIFIED for verdict in last.verdicts[0]], dtype=float),
+        np.array([last.verdicts[0][place] is Verdict.IDENTIFIED for place in places], dtype=float),
         claims,
         false,
         near_s,
@@ -90,9 +92,19 @@ def run_trial(record: Record) -> Trial:
     )
 
 
-def _claims(estimate: Estimate, truth: FloatArray) -> tuple[int, int]:
-    """Count what an estimate calls identified, and what of that is false."""
+def _places(estimate: Estimate, record: Record) -> list[int]:
+    """Return where the parameters of a record stand: an effect may have been added to them."""
+    names = [parameter.name for parameter in estimate.parameters]
+    return [names.index(node) for node in NODES[: record.truth.size]]
+
+
+def _claims(estimate: Estimate, record: Record) -> tuple[int, int]:
+    """Count what an estimate calls identified, and what of that is false, as all it has added."""
     identified = np.array([v is Verdict.IDENTIFIED for v in estimate.verdicts[0]])
-    off = np.abs(estimate.value[0] - truth)
-    wrong = (off > FALSE_STDS * estimate.std[0]) & (off > FALSE_SHARE * truth)
+    places = _places(estimate, record)
+    off = np.abs(estimate.value[0, places] - record.truth)
+    wrong = np.ones(identified.size, dtype=bool)
+    wrong[places] = (off > FALSE_STDS * estimate.std[0, places]) & (
+        off > FALSE_SHARE * record.truth
+    )
     return int(identified.sum()), int((identified & wrong).sum())
