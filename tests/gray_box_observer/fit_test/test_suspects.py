@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
 
+from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.effects import EFFECTS
-from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
+from gray_box_observer.fit_test.suspects import (
+    Explanation,
+    explanations,
+    select_explanations,
+    with_delay,
+)
 
 SAMPLES = 3000
 
@@ -46,3 +52,21 @@ def test_a_rotor_beside_no_resistance_at_all_is_named_all_the_same() -> None:
     found = Explanation(EFFECTS['rotor'], 100.0, 1.0, 1.0, 0.0)
     assert select_explanations([found], {}) == [found]
     assert 'velocity' in found.suspect('motor', 0.02).remedy
+
+
+@pytest.mark.parametrize(
+    ('evidence', 'before', 'after'),
+    [
+        (301.0, ['sag', 'current_lag'], ['sag', 'delay', 'current_lag']),
+        (299.0, ['delay', 'sag', 'current_lag'], ['current_lag', 'sag', 'delay']),
+        (1.0, ['sag'], ['sag', 'delay']),
+    ],
+)
+def test_of_a_lag_and_a_delay_that_a_search_has_found_the_likelier_is_first(
+    evidence: float, before: list[str], after: list[str]
+) -> None:
+    suspects = [Suspect(effect, 100.0, 'by the balance') for effect in before]
+    delay = Suspect('delay', evidence, 'by the search')
+    found = with_delay(suspects, delay)
+    assert [one.effect for one in found] == after
+    assert found[after.index('delay')] is delay
