@@ -25,7 +25,7 @@ SHARE_A_SECOND, LARGEST_SHARE = 160_000, 1600
 """Work that a sample grants for the time since the one before, and at one sample at most: slow
 samples have more time, and their runs take more steps."""
 
-SAVED = 262144
+SAVED = 131072
 """Work that samples at which nothing was to be done have saved up, at most."""
 
 MOST_PIECES = 100_000
@@ -119,5 +119,6 @@ class WorkBudget:
         """
         budget = cls()
         if 'credit' in plain:
-            budget.credit = whole(plain, 'credit', -MOST, SAVED)
+            credit = whole(plain, 'credit', -MOST, MOST)
+            budget.credit = min(credit, SAVED)  # releases before saved up more
         return budget

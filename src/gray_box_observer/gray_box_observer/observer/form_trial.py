@@ -59,7 +59,7 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
 
-FINISHED = 16 * SAVED
+FINISHED = 32 * SAVED
 """Work that is done of a trial at the end of a recording, at most: about a second's."""
 
 _DECISIVE = ('inductance', 'resistance', 'inertia')

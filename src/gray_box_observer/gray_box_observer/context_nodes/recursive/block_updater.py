@@ -31,7 +31,7 @@ from gray_box_observer.context_nodes.recursive.change_test import (
     ChangeTest,
 )
 from gray_box_observer.context_nodes.recursive.change_tracking import (
-    FREE_EXAMINATIONS,
+    STEADY_EXAMINATIONS,
     ChangeTracker,
     patience,
 )
@@ -157,8 +157,8 @@ class BlockUpdater:
             state.hold, state.belief, state.prior, stretch
         )
         state.hold = self._holds.fitted(state.hold, state.belief, stretch)
-        settles = state.in_vain <= FREE_EXAMINATIONS
-        if np.any(has_ramp := (fit.ramp > RAMP_EVIDENCE) & state.hold.begun & settles):
+        may_heat = state.in_vain <= STEADY_EXAMINATIONS
+        if np.any(has_ramp := (fit.ramp > RAMP_EVIDENCE) & state.hold.begun & may_heat):
             self._changes.drifting(motors, has_ramp)
         state.belief = self._holds.cut(state.hold, state.belief)
 

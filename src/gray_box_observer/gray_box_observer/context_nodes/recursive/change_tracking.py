@@ -30,9 +30,13 @@ from gray_box_observer.white_box.interface import Parameter
 SOON = 1024
 """Samples after which an examination has nothing to do with the one before."""
 
-FREE_EXAMINATIONS = 5
+FREE_EXAMINATIONS = 3
 """So many, one soon after the other, are not put off: a change may need a few until its samples
 tell which it was."""
+
+STEADY_EXAMINATIONS = 5
+"""So many, one soon after the other, may still be of a winding that heats: what jumps again and
+again is none."""
 
 GROWTH = 4
 """Factor from one patience to the next."""
@@ -85,10 +89,8 @@ class ChangeTracker:
         state.belief = self._back_on_track(belief, baseline.belief, ~has_changed)
         if not np.any(has_changed):
             return
-        settles = (
-            state.in_vain <= FREE_EXAMINATIONS
-        )  # what jumps again and again is no winding that heats
-        has_jumped = has_changed & ~self.drifting(motors, has_changed & settles, samples)
+        may_heat = state.in_vain <= STEADY_EXAMINATIONS
+        has_jumped = has_changed & ~self.drifting(motors, has_changed & may_heat, samples)
         if not np.any(has_jumped):
             return
         state.change_count = state.change_count + has_jumped
