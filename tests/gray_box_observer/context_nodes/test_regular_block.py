@@ -375,7 +375,7 @@ def test_a_state_that_was_saved_is_not_written_to(
 def test_without_compiled_code_numpy_learns_everything(
     monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(compiled.sysconfig, 'get_config_var', lambda name: '.is-not-there')
+    monkeypatch.setattr(compiled, 'EXTENSION_SUFFIXES', ['.is-not-there'])
     assert regular_block.library() is None
     nodes, count = RecursiveEstimator(thesis_box, START), Count()
     count.watch(nodes)

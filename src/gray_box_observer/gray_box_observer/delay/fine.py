@@ -26,6 +26,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
 from gray_box_observer.delay.coarse import credible
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.samples.raw_history import RawSignals
 from gray_box_observer.white_box.flow import within_bounds
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -100,9 +101,10 @@ class FineSearch:
         self._reach_s = reach_s
         self._state = white_box.state(signals.torque_nm)[None]
         near = credible(self._state[0])[None]
-        self._near, self._size = near, np.maximum(np.quantile(np.abs(near), 0.9, axis=1), 1e-9)
-        self._size = np.maximum(self._size, 0.1 * np.max(np.abs(near), axis=1))
-        self._floor = NOISE_FLOOR * self._size
+        self._near = near
+        size = np.maximum(quantile(np.abs(near), 0.9), 1e-9)
+        self._size: Array = np.maximum(size, 0.1 * np.max(np.abs(near), axis=1))
+        self._floor: Array = NOISE_FLOOR * self._size
 
     def fit(self, delay_s: float, *, free: bool) -> Generator[None, None, Fitted]:
         """Climb from a delay, held or free; yield after each piece of work, return the maximum."""
@@ -151,13 +153,14 @@ class FineSearch:
         self._maps = linearise(self._white_box, self._p, stretch, self._about)
         self._predict(stretch, self._gain)
         if self._gain > 0.0:  # an outlier must not be followed
-            self._predict(stretch, self._gain * (np.abs(self._residual) < OUTLIER * self._scale))
+            near: Array = (np.abs(self._residual) < OUTLIER * self._scale).astype(float)
+            self._predict(stretch, self._gain * near)
         weights = np.minimum(
             1.0, OUTLIER * self._scale / np.maximum(np.abs(self._residual), 1e-300)
         )
         self._weights = weights * self._valid
 
-    def _predict(self, stretch: SampleWindow, gain: float | Array) -> None:
+    def _predict(self, stretch: SampleWindow, gain: Array | float) -> None:
         self._gains = gain * np.ones_like(self._state)
         self._path = follow(self._maps, stretch, self._first, self._gains)
         self._residual = self._state - self._path.state
@@ -212,7 +215,7 @@ class FineSearch:
         stretch = self._stretch(self._delay_s)
         least, count = self._spread(), float(np.sum(self._valid))
         best_gain = 0.0
-        near = np.abs(self._residual) < OUTLIER * self._scale
+        near: Array = (np.abs(self._residual) < OUTLIER * self._scale).astype(float)
         for gain in GAINS:
             self._predict(stretch, gain * near)
             spread = self._spread()

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import BACK_EMF
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
@@ -195,5 +196,5 @@ def _window_sums(
 def noise_share(signal: Array) -> float:
     """Return the share of white noise in a signal, from robust second differences."""
     size = float(np.sqrt(np.mean(signal**2)))
-    noise = float(np.median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
+    noise = float(median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
     return noise / max(size, 1e-300)

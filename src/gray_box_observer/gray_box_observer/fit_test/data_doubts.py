@@ -23,6 +23,7 @@ from gray_box_observer.fit_test.back_emf_fit import (
     noise_share,
 )
 from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.samples.order_statistics import median, quantile
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -178,7 +179,7 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
             'if they are right, set gap_s to more than the interval'
         )
         return Suspect('units_of_time', float(samples.shape[1]), text)
-    typical_s = float(np.median(interval_s[follows]))
+    typical_s = float(median(interval_s[follows]))
     if SHORTEST_INTERVAL_S <= typical_s <= LONGEST_INTERVAL_S:
         return None
     limit_s = LONGEST_INTERVAL_S if typical_s > LONGEST_INTERVAL_S else SHORTEST_INTERVAL_S
@@ -253,7 +254,7 @@ def _peak(signal: Array, limit: float) -> float:
     """Return what 99 % of a signal stay below, or its largest size where that is below a limit."""
     size = np.abs(signal)
     largest = float(size.max())
-    return largest if largest < limit else float(np.percentile(size, 99.0))
+    return largest if largest < limit else float(quantile(size, 0.99))
 
 
 def _lowest_stated_ohm(motor: MotorConfiguration) -> float:

@@ -21,6 +21,7 @@ from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.policy import RATIO_DOUBT
 from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
 from gray_box_observer.safe_io.saved_state import ArrayRule, numbers, whole
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box import MotorWhiteBox, forms
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -83,7 +84,7 @@ class LossInformation:
         if self._interval_count == 0:
             self._about = logarithm
         floor_a = difference_noise(run.residual_a)
-        limit_a = CREDIBLE * max(MAD_TO_STD * float(np.median(np.abs(run.residual_a))), floor_a)
+        limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
         residual_a = np.clip(run.residual_a, -limit_a, limit_a)
         least_a = SMALLEST_NOISE * float(np.max(np.abs(run.stretch.state))) + 1e-12
         noise_a = max(float(np.sqrt(np.mean(residual_a**2))), floor_a, least_a)

@@ -22,6 +22,7 @@ from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -158,7 +159,7 @@ def analyse(
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
-    limit_a = CREDIBLE * max(MAD_TO_STD * float(np.median(np.abs(run.residual_a))), floor_a)
+    limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     weight = np.sqrt(run.weight)
     residual = np.clip(run.residual_a, -limit_a, limit_a) * weight
     base = np.column_stack([run.jacobian, *run.further])
@@ -222,8 +223,8 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     order = np.argpartition(slope, (slope.size - 4 * count, slope.size - count))
     steep, rest = order[-count:], order[: -4 * count]
     size = np.abs(remainder)
-    steep_a = MAD_TO_STD * float(np.median(size[steep]))
-    rest_a = max(MAD_TO_STD * float(np.median(size[rest])), floor_a)
+    steep_a = MAD_TO_STD * float(median(size[steep]))
+    rest_a = max(MAD_TO_STD * float(median(size[rest])), floor_a)
     steepness = math.sqrt(float(np.mean(slope[steep] ** 2)))
     if steep_a <= SCATTERED * rest_a or not steepness > 0.0:  # a run that stands tells no instant
         return 0.0
@@ -235,7 +236,7 @@ def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
     interval_s = stretch.interval_s[stretch.interval_s > 0.0]
     if 'resistance' not in names or interval_s.size == 0:
         return math.inf
-    return 1.0 / (float(p[0, names.index('resistance')]) * float(np.median(interval_s)))
+    return 1.0 / (float(p[0, names.index('resistance')]) * float(median(interval_s)))
 
 
 def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:

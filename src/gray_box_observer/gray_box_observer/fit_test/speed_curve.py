@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE
 from gray_box_observer.settings.motor_configuration import BACK_EMF
 from gray_box_observer.white_box import MotorWhiteBox
@@ -53,6 +54,6 @@ def inductance_shift(white_box: MotorWhiteBox, samples: Array, theta: Array) -> 
     acceleration = max(float(weights[0]), 0.0)
     values = dict(zip(names, theta.tolist(), strict=True))
     kb = abs(values.get(BACK_EMF, float(white_box.known.get(BACK_EMF, 0.0))))
-    span_s2 = float(np.median(interval_s[is_usable])) ** 2
+    span_s2 = float(median(interval_s[is_usable])) ** 2
     shift = kb * acceleration * span_s2 / (12.0 * values['inductance'])
     return shift if np.isfinite(shift) else 0.0

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array
 
 HELD = 0.01
@@ -26,6 +27,6 @@ def is_held(voltage_v: Array) -> bool:
     range_v = float(np.ptp(voltage_v))
     if range_v > HELD_NOISY * largest_v:
         return False
-    noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
+    noise_v = MAD_TO_STD * float(median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
     by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
     return range_v <= max(HELD * largest_v, by_noise_v)

@@ -31,6 +31,7 @@ from gray_box_observer.safe_io.saved_state import (
     numbers,
     whole,
 )
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -97,7 +98,7 @@ class LevelDoubt:
         if self.has_moved:
             self._half_interval_s = 0.0
         elif not self._stamps_exact:
-            self._half_interval_s = UNIFORM_STD * float(np.median(samples[INTERVAL, 1:]))
+            self._half_interval_s = UNIFORM_STD * float(median(samples[INTERVAL, 1:]))
 
     def _follow_loss(self, nodes: ContextUpdate, remembered_count: int) -> None:
         """Look what the samples since the last look tell of a loss."""

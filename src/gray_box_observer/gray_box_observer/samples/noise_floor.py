@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from gray_box_observer.samples.order_statistics import distinct
 from gray_box_observer.white_box.interface import Array
 
 STEP_TO_STD = 1.0 / math.sqrt(12.0)
@@ -73,7 +74,7 @@ def quantisation_step(readings: Array) -> Array:
 
 def _step(readings: Array) -> float:
     """The step of one motor's readings; 0 where there is none."""
-    levels = np.unique(readings)
+    levels = distinct(readings)
     distances = np.diff(levels)
     distances = distances[distances > 1e-12 * np.max(np.abs(levels), initial=0.0)]
     if distances.size == 0:
@@ -83,8 +84,10 @@ def _step(readings: Array) -> float:
         has_returns = distances.size > 1 and changes >= RETURNS * levels.size
         if not has_returns and changes < RESTLESS * readings.size:
             return 0.0
+    in_order = np.sort(distances)
     candidates = [
-        _refined(distances, float(np.quantile(distances, q, method='lower'))) for q in _QUANTILES
+        _refined(distances, float(in_order[int(share * (in_order.size - 1))]))
+        for share in _QUANTILES
     ]
     return max((step for step in candidates if _is_grid(distances, step)), default=0.0)
 

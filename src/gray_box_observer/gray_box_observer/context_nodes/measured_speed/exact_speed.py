@@ -8,6 +8,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -49,7 +50,7 @@ def exact_residual(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Ar
             start = start + shift
             about = path.state + shift * by_start
     residual: Array = stretch.state[0] - about[0]
-    most = OUTLIER * MAD_TO_STD * float(np.median(np.abs(residual)))
+    most = OUTLIER * MAD_TO_STD * float(median(np.abs(residual)))
     return np.clip(residual, -most, most)
 
 

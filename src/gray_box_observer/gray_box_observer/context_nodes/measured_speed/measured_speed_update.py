@@ -48,6 +48,7 @@ from gray_box_observer.safe_io.saved_state import (
     number,
     whole,
 )
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import SPEED, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import TERMS
@@ -368,7 +369,7 @@ class MeasuredSpeedUpdate:
 
     def _is_late(self, fit: OutputFit) -> bool:
         """Tell whether the speed is late, and that matters to the parameters."""
-        interval_s = float(np.median(fit.window.histories[-1].interval_s))
+        interval_s = float(median(fit.window.histories[-1].interval_s))
         lag_s, std_s = fit.lag()
         if abs(lag_s) < max(LATE * interval_s, LATE_STDS * std_s):
             return False

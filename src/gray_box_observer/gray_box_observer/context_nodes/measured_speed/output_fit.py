@@ -31,6 +31,7 @@ from gray_box_observer.context_nodes.rotor.window_fit import (
     search_from,
 )
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -329,9 +330,9 @@ def _floor(window: Window) -> OutputNoise:
 
 def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> OutputNoise:
     """Noise of both outputs by the medians of their residuals."""
-    current = MAD_TO_STD * float(np.median(np.abs(fit.runs.of_output(State.CURRENT))))
+    current = MAD_TO_STD * float(median(np.abs(fit.runs.of_output(State.CURRENT))))
     speed = fit.runs.of_output(State.SPEED) / output.unit_a_s
-    speed_std = MAD_TO_STD * float(np.median(np.abs(speed)))
+    speed_std = MAD_TO_STD * float(median(np.abs(speed)))
     least = floor.least_rad_s
     return OutputNoise(max(current, fit.least_noise_a), max(speed_std, least), least)
 

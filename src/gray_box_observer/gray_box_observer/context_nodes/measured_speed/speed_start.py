@@ -11,6 +11,7 @@ import numpy as np
 from gray_box_observer.context_nodes.rotor.history_unknowns import knot_places
 from gray_box_observer.context_nodes.rotor.weak_start import LEAST_FRICTION
 from gray_box_observer.context_nodes.rotor.window import History, Window
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -76,7 +77,7 @@ def _mechanical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
     ]
     right = torque_constant * _moved(_integral(history.current_a, interval))
     inertia, viscous, dry = _solved(columns, right)[:3]
-    torque = torque_constant * float(np.quantile(np.abs(history.current_a), 0.99))
+    torque = torque_constant * float(quantile(np.abs(history.current_a), 0.99))
     slowest = LEAST_FRICTION * torque / (float(np.abs(speed).max()) + 1e-12)
     return {
         'inertia': inertia,

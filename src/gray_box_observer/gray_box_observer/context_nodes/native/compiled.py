@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import sysconfig
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ def load(kind: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL | None:
     """
     if np.dtype(int).itemsize != ctypes.sizeof(ctypes.c_int64):
         return None
-    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
+    path = Path(__file__).with_name(f'_compiled{EXTENSION_SUFFIXES[0]}')
     try:
         return kind(str(path))
     except OSError:

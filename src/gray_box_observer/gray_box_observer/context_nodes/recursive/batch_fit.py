@@ -41,6 +41,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     restart_variance,
     taken_over,
 )
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.flow import within_bounds
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -163,7 +164,7 @@ class _Search:
         self._stretch = stretch
         self._restarts = np.sum(stretch.restart, axis=1)
         measured_state = stretch.state
-        self._size = np.maximum(np.quantile(np.abs(measured_state), 0.9, axis=1), 1e-9)
+        self._size = np.maximum(quantile(np.abs(measured_state), 0.9), 1e-9)
         reach = CREDIBLE * self._size[:, None]
         self._measured_near = np.clip(measured_state, -reach, reach)
         self._floor = np.maximum(noise_floor * self._size, least_noise)

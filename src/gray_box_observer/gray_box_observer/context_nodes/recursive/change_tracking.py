@@ -25,6 +25,7 @@ from gray_box_observer.context_nodes.recursive.estimator_settings import Recursi
 from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied, put
 from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
 from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, SampleWindow
+from gray_box_observer.samples.order_statistics import distinct
 from gray_box_observer.white_box.interface import Parameter
 
 SOON = 1024
@@ -125,7 +126,7 @@ class ChangeTracker:
         """
         state, is_walking = motors.state, np.zeros_like(selection)
         length = state.position - state.anchor_position + 1
-        for samples in np.unique(length[selection]).tolist():
+        for samples in distinct(length[selection]).tolist():
             index = np.flatnonzero(selection & (length == samples))
             part = motors.part(index)
             is_walking[index] = self._walk(part, part.newest(samples), jumped_before)

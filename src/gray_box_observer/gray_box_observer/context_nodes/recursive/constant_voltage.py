@@ -36,6 +36,7 @@ from gray_box_observer.safe_io.saved_state import (
     flags,
     positive,
 )
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.interface import Array, Parameter
 
 HOLD_TOLERANCE = 0.01
@@ -208,7 +209,7 @@ class ConstantVoltage:
             return belief
         size = np.abs(stretch.state)
         most, last = (
-            np.quantile(size, 0.98, axis=1),
+            quantile(size, 0.98),
             size[:, -max(1, size.shape[1] // 4) :].mean(axis=1),
         )
         stays = last > RISEN * most

@@ -50,6 +50,7 @@ from gray_box_observer.context_nodes.recursive.saved_estimator import check, res
 from gray_box_observer.context_nodes.recursive.schedule import UpdateSchedule
 from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES
 from gray_box_observer.context_nodes.update_rule import check_parameters
+from gray_box_observer.samples.order_statistics import distinct
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
@@ -244,7 +245,7 @@ class RecursiveEstimator:
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Work) -> None:
         """Do a piece of work for some motors, in order, by equal numbers of samples."""
         self._state.position[motors] = self._schedule.next_update_at[motors]
-        counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
+        counts = samples[:1] if (samples == samples[0]).all() else distinct(samples)
         for count in counts.tolist():
             alike = motors if counts.size == 1 else motors[samples == count]
             if alike.size == self.replay.motors:

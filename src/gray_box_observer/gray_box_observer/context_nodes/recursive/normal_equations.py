@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     STATES,
     Trajectory,
 )
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array
 
 MAD_TO_STD = 1.4826
@@ -83,8 +84,9 @@ class Scaling:
 
 def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
     """Standard deviation from the median absolute deviation, shape (motor,); robust."""
-    sizes = np.sort(np.where(valid, np.abs(residual), np.inf), axis=1)
-    middle = np.maximum(np.sum(valid, axis=1) - 1, 0) // 2
+    sizes = np.where(valid, np.abs(residual), np.inf)
+    middle = np.maximum(valid.sum(axis=1) - 1, 0) // 2
+    sizes.partition(sorted({*middle.tolist()}), axis=1)
     median = sizes[np.arange(sizes.shape[0]), middle]
     std: Array = MAD_TO_STD * np.where(np.isfinite(median), median, 0.0)
     return std
@@ -98,7 +100,7 @@ def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(No
         smooth: shape (n - 2,): which second differences count.
     """
     second = (signal[2:] - 2.0 * signal[1:-1] + signal[:-2])[smooth]
-    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
+    return MAD_TO_STD / math.sqrt(6.0) * float(median(np.abs(second)))
 
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:

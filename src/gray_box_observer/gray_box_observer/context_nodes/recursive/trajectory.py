@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import interval_motion
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.declaration import COMPILED, State
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -282,7 +283,7 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
         Shape (motor,).
     """
     around = np.concatenate([voltage_v[:, :1], voltage_v, voltage_v[:, -1:]], axis=1)
-    lasting_v = np.median(np.stack([around[:, :-2], voltage_v, around[:, 2:]]), axis=0)
+    lasting_v = median(np.stack([around[:, :-2], voltage_v, around[:, 2:]], axis=-1))
     change_v = np.abs(np.diff(lasting_v, axis=1, prepend=lasting_v[:, :1]))
     moves = change_v > MOVE * np.ptp(lasting_v, axis=1, keepdims=True)
     near = kicks.copy()

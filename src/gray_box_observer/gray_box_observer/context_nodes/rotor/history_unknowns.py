@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, by_knot
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 
@@ -52,7 +53,7 @@ class SpeedOutput:
             interval_s: shape (k,): its intervals.
         """
         result = np.zeros((self.unknowns, self.unknowns))
-        lag_std = LATEST * float(np.median(interval_s))
+        lag_std = LATEST * float(median(interval_s))
         result[: LAG + 1, : LAG + 1] = np.diag([*start_std**-2.0, lag_std**-2.0])
         if self.knots:
             length = float(interval_s.sum())

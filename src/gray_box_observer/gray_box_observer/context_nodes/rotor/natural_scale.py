@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.samples.order_statistics import median, quantile
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -34,9 +35,9 @@ def shares_of_scale(white_box: MotorWhiteBox, theta: Array, window: Window) -> A
     values = white_box.values(theta)
     resistance, back_emf = values['resistance'], values['back_emf_constant']
     torque_constant = float(white_box.torque_constant)
-    interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
+    interval_s = float(median(np.concatenate([h.interval_s for h in window.histories])))
     voltage = window.largest_voltage_v + 1e-12
-    current = float(np.quantile(np.abs(window.current_a), 0.99)) + 1e-12
+    current = float(quantile(np.abs(window.current_a), 0.99)) + 1e-12
     torque, speed = torque_constant * current, voltage / back_emf
     scale = {
         'inductance': UNRESOLVED * interval_s * resistance,

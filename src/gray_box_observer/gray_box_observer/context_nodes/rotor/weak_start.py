@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.window import History, Window
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -132,7 +133,7 @@ def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
     back_emf = float(white_box.known['back_emf_constant'])
     torque_constant = float(white_box.torque_constant)
     inertia = back_emf * torque_constant / coupling
-    torque = torque_constant * float(np.quantile(np.abs(window.current_a), 0.99))
+    torque = torque_constant * float(quantile(np.abs(window.current_a), 0.99))
     slowest = LEAST_FRICTION * torque * back_emf / (window.largest_voltage_v + 1e-12)
     values = {
         'inductance': inductance,

@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
 )
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -96,7 +97,7 @@ class Window:
         samples = samples[:, finite]
         current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
         begins = np.flatnonzero(samples[INTERVAL] <= 0.0)
-        edges = np.unique([0, *begins.tolist(), current.size])
+        edges = sorted({0, *begins.tolist(), current.size})
         result = [
             History(
                 current[begin:end],
@@ -105,7 +106,7 @@ class Window:
                 None if speed_output is None else samples[SPEED, begin:end],
                 int(places[begin]),
             )
-            for begin, end in pairwise(edges.tolist())
+            for begin, end in pairwise(edges)
             if end - begin >= FEWEST
         ]
         if len(result) > MOST_HISTORIES:
@@ -136,7 +137,7 @@ class Window:
     @cached_property
     def interval_s(self) -> float:
         """Median of all intervals."""
-        return float(np.median(np.concatenate([h.interval_s for h in self.histories])))
+        return float(median(np.concatenate([h.interval_s for h in self.histories])))
 
     @cached_property
     def currents(self) -> Any:
@@ -375,10 +376,10 @@ def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Ar
     limit = window.largest_voltage_v
     for row, history in enumerate(window.histories):
         few = slice(0, FEWEST)
-        current = float(np.median(history.current_a[few]))
-        emf = float(np.median(history.voltage_v[few])) - values['resistance'] * current
+        current = float(median(history.current_a[few]))
+        emf = float(median(history.voltage_v[few])) - values['resistance'] * current
         starts[row, State.CURRENT] = history.current_a[0]
         starts[row, State.SPEED] = np.clip(emf, -limit, limit) / values['back_emf_constant']
         if history.speed_rad_s is not None:
-            starts[row, State.SPEED] = np.median(history.speed_rad_s[few])
+            starts[row, State.SPEED] = median(history.speed_rad_s[few])
     return starts

@@ -27,6 +27,7 @@ from gray_box_observer.context_nodes.rotor.window import (
     free_runs,
     guessed_starts,
 )
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -389,7 +390,7 @@ class _Search:
     def _scale(self, residual: Array) -> float:
         """Noise of the current by its residuals, in whose unit those of the speed are."""
         currents = np.abs(residual[self._currents])
-        return max(MAD_TO_STD * float(np.median(currents)), self._floor_a)
+        return max(MAD_TO_STD * float(median(currents)), self._floor_a)
 
     def _settle_starts(self) -> Pieces[None]:
         """Move the first states alone to where they fit best."""

@@ -1,0 +1,36 @@
+"""Quantiles and distinct values, against numpy's own, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gray_box_observer.samples.order_statistics import distinct, median, quantile
+
+
+@pytest.mark.parametrize('share', [0.0, 0.02, 0.5, 0.9, 0.98, 0.99, 1.0])
+@pytest.mark.parametrize('count', [1, 2, 7, 40, 4096])
+def test_a_quantile_is_numpys(count: int, share: float) -> None:
+    values = np.random.default_rng(count).normal(size=(3, count))
+    kept = values.copy()
+    np.testing.assert_array_equal(quantile(values, share), np.quantile(values, share, axis=1))
+    np.testing.assert_array_equal(values, kept)
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 40, 4097])
+def test_a_median_is_numpys(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=(3, count))
+    np.testing.assert_array_equal(median(values), np.median(values, axis=1))
+
+
+def test_where_a_value_is_none_nothing_is_told() -> None:
+    values = np.array([[1.0, np.nan, 3.0], [1.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(median(values), [np.nan, 2.0])
+    np.testing.assert_array_equal(quantile(values, 0.5), [np.nan, 2.0])
+    assert np.isnan(median(np.empty(0)))
+
+
+@pytest.mark.parametrize('count', [0, 1, 5, 300])
+def test_distinct_values_are_numpys(count: int) -> None:
+    values = np.random.default_rng(count).integers(-20, 20, count) * 0.1
+    np.testing.assert_array_equal(distinct(values), np.unique(values))
