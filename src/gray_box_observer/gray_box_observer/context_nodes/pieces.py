@@ -31,6 +31,9 @@ SAVED = 131072
 MOST_PIECES = 100_000
 """Of a saved piece of work, so that no file can make its restoration endless."""
 
+FINISHED = 32 * SAVED
+"""Work that is done at the end of a recording, at most: about a second's."""
+
 AT_ONCE = 4096
 """Work at one sample, at most, beside what the last piece takes beyond it."""
 
@@ -62,6 +65,11 @@ def bounded(work: Pieces[Result], most: int) -> Pieces[Result | None]:
         spent_work += size
         yield size
     return None
+
+
+def completed_within(work: Pieces[Result], most: int) -> Result | None:
+    """Do some work at once; return its result, None where it would take more than so much."""
+    return completed(bounded(work, most))
 
 
 class WorkBudget:

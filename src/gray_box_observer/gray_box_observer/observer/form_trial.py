@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.context_nodes.pieces import MOST_PIECES, SAVED, Pieces, WorkBudget
+from gray_box_observer.context_nodes.pieces import FINISHED, MOST_PIECES, Pieces, WorkBudget
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -58,9 +58,6 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
-
-FINISHED = 32 * SAVED
-"""Work that is done of a trial at the end of a recording, at most: about a second's."""
 
 _DECISIVE = ('inductance', 'resistance', 'inertia')
 

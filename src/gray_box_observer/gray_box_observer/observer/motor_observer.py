@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes import (
     ContextUpdate,
     Estimate,
+    MeasuredSpeedUpdate,
     RotorUpdate,
     VerdictSettings,
 )
@@ -212,11 +213,24 @@ class MotorObserver:
         self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
     def finish(self) -> None:
-        """Do what is left of a trial of another form: no samples will come."""
+        """Do what is left of fits and of a trial of another form: no samples will come."""
         self.run_deferred()
-        if self.form_choice.is_open and not self._is_frozen:
+        if self._is_frozen:
+            return
+        self._finish_fits()
+        if self.form_choice.is_open:
             nodes, fit = self.context_nodes, self._fit.assessment(0)
             self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
+            if self.context_nodes is not nodes:
+                self._finish_fits()
+
+    def _finish_fits(self) -> None:
+        """Do what is left of a fit that goes on piece by piece, and judge what comes of it."""
+        nodes = self.context_nodes
+        if isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish():
+            self.changed_motors = _FIRST
+            self._know(self._limit_by_fit(nodes.estimate()))
+            self.run_deferred()
 
     def _go_over(self, form: MotorForm | None) -> None:
         """Observe the motor by another form, where there is one."""

@@ -9,6 +9,7 @@ current is clearly likelier with its speed than with the measured one at the sam
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -295,7 +296,7 @@ class MeasuredSpeedUpdate:
         fits = self._outputs.counters()
         if self._outputs.is_due:
             self._ask()
-        has_fitted = self._has_fitted()
+        has_fitted = self._has_fitted(self._outputs.advance)
         if self._is_noisy or was_noisy:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
@@ -310,10 +311,24 @@ class MeasuredSpeedUpdate:
         else:
             self._outputs.postpone()
 
-    def _has_fitted(self) -> bool:
+    def finish(self) -> bool:
+        """Do what is left of a fit of both outputs, for no samples will come.
+
+        Where the speed is noisy, what has come since is fitted too.
+
+        Returns:
+            Whether the estimate has changed.
+        """
+        has_changed = self._has_fitted(self._outputs.complete)
+        if self._is_noisy and self._outputs.has_news:
+            self._outputs.begin_fit()
+            has_changed |= self._has_fitted(self._outputs.complete)
+        return has_changed
+
+    def _has_fitted(self, go_on: Callable[[], bool | None]) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""
         fit_window, missed_count = self._outputs.fitting, self._outputs.windows_without_fit
-        has_changed = self._outputs.advance()
+        has_changed = go_on()
         is_missed = self._outputs.windows_without_fit > missed_count
         if fit_window is None or not (
             has_changed or is_missed

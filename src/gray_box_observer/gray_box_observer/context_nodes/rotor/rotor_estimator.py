@@ -26,7 +26,13 @@ from gray_box_observer.context_nodes.estimate import (
     bounded,
     spread_of_values,
 )
-from gray_box_observer.context_nodes.pieces import MOST_PIECES, Pieces, WorkBudget
+from gray_box_observer.context_nodes.pieces import (
+    FINISHED,
+    MOST_PIECES,
+    Pieces,
+    WorkBudget,
+    completed_within,
+)
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
@@ -159,6 +165,7 @@ class RotorUpdate:
         self._place = 0  # of the newest sample
         self._mark = 0  # place before the first sample of the window
         self._due = FIRST_FIT
+        self._begun_at = 0  # place of the newest sample of the newest fit
         self._wait = AGAIN
         self._is_settled = False
         self._has_rivals = True  # other ends that explain the samples as well
@@ -272,6 +279,7 @@ class RotorUpdate:
         self._begin(place, samples[:, 0].copy())
 
     def _begin(self, place: int, samples: Array) -> None:
+        self._begun_at = place
         self._fit_task = _Fitting(place, samples, self._fit(place, samples))
 
     def advance(self) -> bool | None:
@@ -284,6 +292,33 @@ class RotorUpdate:
             return None
         self._fit_task = None
         return bool(has_changed)
+
+    def complete(self) -> bool:
+        """Do what is left of the fit under way, within bounds; tell whether it has an estimate."""
+        if self._fit_task is None or self._is_frozen:
+            return False
+        with np.errstate(all='ignore'):
+            has_changed = completed_within(self._fit_task.work, FINISHED // 2)
+        self._fit_task, self._budget.pieces = None, 0
+        return bool(has_changed)
+
+    def finish(self) -> bool:
+        """Fit what has come since the last fit too, for no samples will come.
+
+        Returns:
+            Whether the estimate has changed.
+        """
+        has_changed = self.complete()
+        if self.has_news:
+            self.begin_fit()
+            has_changed |= self.complete()
+        return has_changed
+
+    @property
+    def has_news(self) -> bool:
+        """Whether enough samples have come since the last fit for another one."""
+        is_enough = self._place >= max(FIRST_FIT, self._begun_at + STILL)
+        return is_enough and not self._is_frozen
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.
