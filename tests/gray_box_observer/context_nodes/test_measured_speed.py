@@ -118,6 +118,24 @@ def test_the_lag_of_the_speed_is_told(sensor: str, lag_us: int) -> None:
     assert counters['lag of the speed, us'] == pytest.approx(lag_us, abs=100)
 
 
+def test_at_the_end_all_that_has_come_of_a_noisy_speed_is_fitted() -> None:
+    update = learnt(readings('noisy')[:2000])
+    before = update.estimate()
+    assert update.is_noisy
+    assert update.finish()
+    after = update.estimate()
+    assert (after.std < before.std).all()
+    assert (np.abs(after.value[0] - TRUTH) < 3.5 * after.std[0]).all()
+    assert not update.finish(), 'nothing has come since'
+
+
+def test_of_an_exact_speed_nothing_is_left_to_be_done() -> None:
+    update = learnt(readings('exact')[:1500])
+    before = update.estimate()
+    update.finish()
+    assert update.estimate().value.tobytes() == before.value.tobytes()
+
+
 def test_an_exact_speed_leaves_the_recursive_rule_alone_bit_for_bit() -> None:
     samples = readings('exact')
     alone = RecursiveEstimator(MEASURED, START, 0, RecursiveSettings())

@@ -98,6 +98,28 @@ def test_what_comes_while_frozen_is_not_learnt() -> None:
     assert update.theta.tobytes() != before
 
 
+@pytest.mark.parametrize('count', [700, 1000, 1400])
+def test_at_the_end_all_that_has_come_is_fitted(count: int) -> None:
+    update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded())[:count])
+    before = update.estimate()
+    assert update.has_news
+    assert update.finish()
+    after = update.estimate()
+    assert update.fitting is None
+    assert not update.has_news
+    assert (after.std < before.std).all()
+    assert (np.abs(after.value[0] - THETA) < 4.0 * after.std[0]).all()
+    assert not update.finish(), 'nothing has come since'
+
+
+def test_a_rule_that_is_frozen_finishes_nothing() -> None:
+    update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded())[:135])
+    before = update.theta.tobytes()
+    update.freeze(True)
+    assert not update.finish()
+    assert update.theta.tobytes() == before
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('cut', [100, 900, 2300, 2999])
 def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:

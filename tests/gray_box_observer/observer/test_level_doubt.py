@@ -10,12 +10,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, driven, recorded
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Estimate, VerdictSettings
 from gray_box_observer.context_nodes.estimate import Verdict
+from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.level_doubt import LOST_V, LevelDoubt
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -163,3 +164,24 @@ def test_a_state_of_an_early_release_begins_anew() -> None:
     doubt.restore({'has_moved': True, 'shift': [0.0] * 3, 'half_interval_s': 0.0}, 500)
     assert doubt.has_moved
     assert not doubt.is_settled
+
+
+def test_of_a_misfit_no_loss_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 3)
+    looks: list[FitVerdict] = []
+    follow = LevelDoubt.follow
+
+    def noted(self: LevelDoubt, nodes: Any) -> None:
+        looks.extend(view.fit.verdict for view in observer.motors.values())
+        follow(self, nodes)
+
+    observer = Observer(Configuration.from_flat({**CONSTANTS, 'motor.context_nodes': NODES[:2]}))
+    monkeypatch.setattr(LevelDoubt, 'follow', noted)
+    for k in range(record.stamp_ns.size):
+        stamp = int(record.stamp_ns[k])
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        w = -float(record.speed_rad_s[0, k])  # its sign is flipped
+        observer.torque('motor', stamp, float(record.torque_nm[0, k]), w)
+    assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
+    assert looks
+    assert FitVerdict.MISFIT not in looks
