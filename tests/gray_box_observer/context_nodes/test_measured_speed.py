@@ -118,7 +118,7 @@ def test_the_lag_of_the_speed_is_told(sensor: str, lag_us: int) -> None:
     assert counters['lag of the speed, us'] == pytest.approx(lag_us, abs=100)
 
 
-def test_at_the_end_all_that_has_come_of_a_noisy_speed_is_fitted() -> None:
+def test_at_the_end_what_has_come_of_a_noisy_speed_is_fitted() -> None:
     update = learnt(readings('noisy')[:2000])
     before = update.estimate()
     assert update.is_noisy
@@ -132,7 +132,7 @@ def test_at_the_end_all_that_has_come_of_a_noisy_speed_is_fitted() -> None:
 def test_of_an_exact_speed_nothing_is_left_to_be_done() -> None:
     update = learnt(readings('exact')[:1500])
     before = update.estimate()
-    update.finish()
+    assert not update.finish()
     assert update.estimate().value.tobytes() == before.value.tobytes()
 
 

@@ -9,6 +9,7 @@ import pytest
 from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, samples_of
 
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.observer import Observer
@@ -98,8 +99,8 @@ def test_what_comes_while_frozen_is_not_learnt() -> None:
     assert update.theta.tobytes() != before
 
 
-@pytest.mark.parametrize('count', [700, 1000, 1400])
-def test_at_the_end_all_that_has_come_is_fitted(count: int) -> None:
+@pytest.mark.parametrize('count', [1000, 1400])
+def test_at_the_end_what_has_come_is_fitted(count: int) -> None:
     update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded())[:count])
     before = update.estimate()
     assert update.has_news
@@ -110,6 +111,44 @@ def test_at_the_end_all_that_has_come_is_fitted(count: int) -> None:
     assert (after.std < before.std).all()
     assert (np.abs(after.value[0] - THETA) < 4.0 * after.std[0]).all()
     assert not update.finish(), 'nothing has come since'
+
+
+@pytest.mark.parametrize('behind', [1, 37, 135, 192])
+def test_a_few_samples_after_a_full_window_change_nothing_at_the_end(behind: int) -> None:
+    samples = samples_of(recorded(duration_s=2.5, seed=4))
+    update = learn(RotorUpdate(BOX, INITIAL), samples[:2060])
+    rest = iter(samples[2060:])
+    while update.fitting is not None:
+        update.learn(next(rest))
+    learn(update, [next(rest) for _ in range(behind)])
+    before = update.estimate()
+    assert before.identified(0)
+    assert not update.finish()
+    assert update.estimate().covariance.tobytes() == before.covariance.tobytes()
+
+
+@pytest.mark.parametrize('more', [0, 1, 10])
+def test_what_was_learnt_as_the_past_is_not_fitted_once_more(more: int) -> None:
+    samples = samples_of(recorded())
+    content = learn(RotorUpdate(BOX, INITIAL), samples[:WINDOW]).replay.newest(WINDOW)
+    update = RotorUpdate(BOX, INITIAL)
+    completed(update.learn_remembered(content, samples[WINDOW - 1].stamp_ns))
+    learn(update, samples[WINDOW : WINDOW + more])
+    before, fits = update.theta.tobytes(), update.counters()
+    assert not update.finish()
+    assert update.theta.tobytes() == before
+    assert update.counters() == fits
+
+
+def test_what_is_restored_finishes_alike() -> None:
+    one = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded())[:700])
+    for _ in range(2):
+        other = RotorUpdate(BOX, INITIAL)
+        plain, arrays = one.state()
+        other.restore(plain, {name: array.copy() for name, array in arrays.items()})
+        assert other.has_news == one.has_news
+        assert other.finish() == one.finish()
+        assert other.theta.tobytes() == one.theta.tobytes()
 
 
 def test_a_rule_that_is_frozen_finishes_nothing() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.builder import motor_observer
@@ -313,3 +315,37 @@ def test_the_speed_of_a_chosen_rotor_is_told_with_every_sample() -> None:
 
 def test_a_motor_of_the_thesis_has_no_speed_to_tell() -> None:
     assert observed(recorded(THESIS_MOTOR, LIVELY, 1.0, 1)).motors['motor'].speed is None
+
+
+@pytest.mark.parametrize(
+    'values',
+    [
+        {'motor.speed_source': 'rotor'},
+        {
+            'motor.speed_source': 'measured',
+            'motor.context_nodes': ['inductance', 'resistance', 'inertia', 'coulomb_friction'],
+        },
+    ],
+)
+@pytest.mark.parametrize('count', [700, 1371, 2300])
+def test_what_is_made_known_at_the_end_is_judged_by_the_same_numbers(
+    values: dict[str, object], count: int
+) -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 2.5, 4)
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **values}))
+    for k in range(count):
+        stamp = int(record.stamp_ns[k])
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        is_measured = values['motor.speed_source'] == 'measured'
+        speed = float(record.speed_rad_s[0, k]) if is_measured else math.nan
+        observer.torque('motor', stamp, float(record.torque_nm[0, k]), speed)
+    before = observer.motors['motor'].estimate
+    names = observer.finish()
+    view = observer.motors['motor']
+    assert not observer.incidents
+    assert (names == ('motor',)) == (
+        not np.array_equal(view.estimate.covariance, before.covariance)
+    )
+    known = tuple(verdict in COUNTS_AS_KNOWN for verdict in view.estimate.verdicts[0])
+    assert view.parameters_identified == known
+    assert observer.finish() == ()

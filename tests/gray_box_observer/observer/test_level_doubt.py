@@ -16,7 +16,6 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Estimate, VerdictSettings
 from gray_box_observer.context_nodes.estimate import Verdict
-from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.level_doubt import LOST_V, LevelDoubt
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -166,22 +165,24 @@ def test_a_state_of_an_early_release_begins_anew() -> None:
     assert not doubt.is_settled
 
 
-def test_of_a_misfit_no_loss_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 3)
-    looks: list[FitVerdict] = []
-    follow = LevelDoubt.follow
-
-    def noted(self: LevelDoubt, nodes: Any) -> None:
-        looks.extend(view.fit.verdict for view in observer.motors.values())
-        follow(self, nodes)
-
+def test_of_a_misfit_no_loss_is_looked_for() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 2.0, 3)
     observer = Observer(Configuration.from_flat({**CONSTANTS, 'motor.context_nodes': NODES[:2]}))
-    monkeypatch.setattr(LevelDoubt, 'follow', noted)
+    feed_speed(observer, record)
+    nodes = observer.motors['motor'].observer.context_nodes
+    box = observer.motors['motor'].white_box
+    idle, doubt = LevelDoubt(box), LevelDoubt(box)
+    idle.follow(nodes, is_misfit=True)
+    doubt.follow(nodes)
+    assert idle.has_moved
+    assert idle.state(0)['information']['intervals'] == 0
+    assert doubt.state(0)['information']['intervals'] > 0
+
+
+def feed_speed(observer: Observer, record: Recording) -> None:
+    """Feed a record with its speed."""
     for k in range(record.stamp_ns.size):
         stamp = int(record.stamp_ns[k])
         observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
-        w = -float(record.speed_rad_s[0, k])  # its sign is flipped
+        w = float(record.speed_rad_s[0, k])
         observer.torque('motor', stamp, float(record.torque_nm[0, k]), w)
-    assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
-    assert looks
-    assert FitVerdict.MISFIT not in looks

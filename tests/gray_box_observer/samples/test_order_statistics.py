@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -34,3 +38,23 @@ def test_where_a_value_is_none_nothing_is_told() -> None:
 def test_distinct_values_are_numpys(count: int) -> None:
     values = np.random.default_rng(count).integers(-20, 20, count) * 0.1
     np.testing.assert_array_equal(distinct(values), np.unique(values))
+
+
+@pytest.mark.slow
+def test_no_fit_loads_masked_arrays(tmp_path: Path) -> None:
+    script = tmp_path / 'fit.py'
+    script.write_text(
+        'import math, sys\n'
+        'from gray_box_observer.observer import Observer\n'
+        'from gray_box_observer.settings import Configuration\n'
+        "one = Observer(Configuration.from_flat({'motor.torque_constant': 0.01}))\n"
+        'current = 0.0\n'
+        'for k in range(600):\n'
+        '    volt = 5.0 * math.copysign(1.0, math.sin(0.3 * k))\n'
+        "    one.voltage('motor', k * 1_000_000, volt)\n"
+        "    one.torque('motor', k * 1_000_000, 0.01 * round(current, 4))\n"
+        '    current += 1e-3 * (volt - 1.0 * current) / 2e-3\n'
+        "assert one.motors['motor'].estimate.identified(0) is not None\n"
+        "sys.exit('numpy.ma' in sys.modules)\n"
+    )
+    subprocess.run([sys.executable, str(script)], check=True, timeout=120)

@@ -25,14 +25,14 @@ SHARE_A_SECOND, LARGEST_SHARE = 160_000, 1600
 """Work that a sample grants for the time since the one before, and at one sample at most: slow
 samples have more time, and their runs take more steps."""
 
-SAVED = 131072
+SAVED = 262144
 """Work that samples at which nothing was to be done have saved up, at most."""
 
 MOST_PIECES = 100_000
 """Of a saved piece of work, so that no file can make its restoration endless."""
 
-FINISHED = 32 * SAVED
-"""Work that is done at the end of a recording, at most: about a second's."""
+FINISHED = 16 * SAVED
+"""Work that is done of a trial, or of fits, at the end of a recording: about a second's."""
 
 AT_ONCE = 4096
 """Work at one sample, at most, beside what the last piece takes beyond it."""

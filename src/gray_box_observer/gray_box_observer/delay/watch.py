@@ -19,6 +19,7 @@ from gray_box_observer.delay.fine import FineSearch, evidence
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import LARGEST, entry, number, number_or_none, whole
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.raw_history import TORQUES, RawSignals, SignalHistory
 from gray_box_observer.samples.sample import nanoseconds, seconds
 from gray_box_observer.white_box.flow import to_coordinates
@@ -218,7 +219,7 @@ class DelayWatch:
         restart = steps > self._gap_s
         if np.all(restart):
             return None
-        interval_s = _median(steps[~restart])
+        interval_s = float(median(steps[~restart]))
         coarse = yield from profile(self._white_box, signals, restart, interval_s, reach_s)
         yield
         if coarse is None:
@@ -386,11 +387,3 @@ class DelayWatch:
         self.estimate = DelayEstimate(
             applied_s, self.estimate.is_estimated, value_s, std_s, DelayVerdict[word]
         )
-
-
-def _median(values: Array) -> float:
-    """Median, bit for bit what ``np.median`` says, which would load masked arrays for it."""
-    sorted_values = np.sort(values)
-    return 0.5 * float(
-        sorted_values[(sorted_values.size - 1) // 2] + sorted_values[sorted_values.size // 2]
-    )

@@ -16,6 +16,7 @@ from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.bag.mcap.mcap_content import RawMessage
 from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.errors import BagError, SampleError
 from gray_box_observer.observer.builder import TrainingFactory
 from gray_box_observer.observer.message_input import MessageInput
@@ -121,15 +122,14 @@ def run(
                 motor = observer.motors.get(result.motor)  # none where it has stopped since
                 if motor is not None:
                     course.count_changes(motor.changes)
-                digest.update(result.motor.encode())
-                digest.update(np.int64(result.estimate.stamp_ns).tobytes())
-                digest.update(result.estimate.value.tobytes())
-                digest.update(result.estimate.covariance.tobytes())
+                _take_in(digest, result.motor, result.estimate)
             if listener is not None:
                 listener(result)
 
     try:
-        _feed_all(bags, configuration, outcome, ingest, progress, limits)
+        for name in _feed_all(bags, configuration, outcome, ingest, progress, limits):
+            courses[name].count_changes(observer.motors[name].changes)
+            _take_in(digest, name, observer.motors[name].estimate)
     finally:
         observer.close()
     if not courses and not observer.incidents:
@@ -176,8 +176,8 @@ def _feed_all(
     ingest: Callable[[Iterable[Result]], None],
     progress: Progress,
     limits: ReadLimits | None = None,
-) -> None:
-    """Feed bags one after another."""
+) -> tuple[str, ...]:
+    """Feed bags one after another; return the motors whose estimates their end has changed."""
     end_ns: int | None = None
     for path in bags:
         with BagReader(path, limits) as bag:
@@ -190,7 +190,15 @@ def _feed_all(
         for result in outcome.message_input.flush():
             ingest(outcome.observer.results(result))
         ingest(outcome.observer.flush())
-    outcome.observer.finish()
+    return outcome.observer.finish()
+
+
+def _take_in(digest: hashlib._Hash, motor: str, estimate: Estimate) -> None:
+    """Go on with a digest by one estimate."""
+    digest.update(motor.encode())
+    digest.update(np.int64(estimate.stamp_ns).tobytes())
+    digest.update(estimate.value.tobytes())
+    digest.update(estimate.covariance.tobytes())
 
 
 def match_topics(configured_name: str, available: Iterable[str]) -> list[str]:

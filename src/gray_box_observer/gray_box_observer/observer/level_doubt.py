@@ -76,11 +76,12 @@ class LevelDoubt:
         self._spread = np.zeros((count, count))
         self._half_interval_s = 0.0
 
-    def follow(self, nodes: ContextUpdate) -> None:
+    def follow(self, nodes: ContextUpdate, *, is_misfit: bool = False) -> None:
         """Look at what has come: whether the voltage has moved, and whether a loss is told.
 
         Args:
             nodes: the rule that has learnt the motor.
+            is_misfit: whether it is a misfit, of which nothing is believed: then a loss can wait.
         """
         if self.has_moved and self.is_settled:
             return
@@ -89,7 +90,7 @@ class LevelDoubt:
             return
         if not self.has_moved:
             self._follow_moves(nodes.replay.newest(min(remembered_count, LONGEST_PART))[:, 0])
-        if not self.is_settled:
+        if not (self.is_settled or is_misfit):
             self._follow_loss(nodes, remembered_count)
 
     def _follow_moves(self, samples: Array) -> None:

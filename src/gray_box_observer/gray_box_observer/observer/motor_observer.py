@@ -212,25 +212,32 @@ class MotorObserver:
         fit = self._fit.assessment(0)
         self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
-    def finish(self) -> None:
-        """Do what is left of fits and of a trial of another form: no samples will come."""
+    def finish(self) -> bool:
+        """Do what is left of fits and of a trial of another form: no samples will come.
+
+        Returns:
+            Whether an estimate has changed.
+        """
         self.run_deferred()
         if self._is_frozen:
-            return
-        self._finish_fits()
+            return False
+        has_changed = self._finish_fits()
         if self.form_choice.is_open:
             nodes, fit = self.context_nodes, self._fit.assessment(0)
             self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
             if self.context_nodes is not nodes:
+                has_changed = True
                 self._finish_fits()
+        return has_changed
 
-    def _finish_fits(self) -> None:
-        """Do what is left of a fit that goes on piece by piece, and judge what comes of it."""
+    def _finish_fits(self) -> bool:
+        """Do what is left of a fit that goes on piece by piece, and test what comes of it."""
         nodes = self.context_nodes
-        if isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish():
-            self.changed_motors = _FIRST
-            self._know(self._limit_by_fit(nodes.estimate()))
-            self.run_deferred()
+        if not (isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish()):
+            return False
+        self.changed_motors = _FIRST
+        self._know(self._test(0, is_out=True))
+        return True
 
     def _go_over(self, form: MotorForm | None) -> None:
         """Observe the motor by another form, where there is one."""

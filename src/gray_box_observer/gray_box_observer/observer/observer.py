@@ -177,11 +177,19 @@ class Observer:
         """Learn what still waits for a voltage (end of a bag)."""
         return self._flat([result for group in self.every_group for result in self._flush(group)])
 
-    def finish(self) -> None:
-        """Do what is left of trials that are under way, within bounds: no samples will come."""
+    def finish(self) -> tuple[str, ...]:
+        """Do what is left of fits and trials, within bounds: no samples will come.
+
+        Returns:
+            Names of the motors whose estimates have changed.
+        """
+        names: list[str] = []
         for group in self.every_group:
-            if group.observer is not None and not group.is_stopped:
-                self.contain(group, group.observer.finish)
+            if group.observer is None or group.is_stopped:
+                continue
+            if self.contain(group, group.observer.finish):
+                names += group.names
+        return tuple(names)
 
     def restart_clock(self) -> None:
         """Begin new signal histories: what comes next has stamps of its own (another recording).

@@ -117,15 +117,14 @@ class ParameterBelief:
             estimate: what is believed of these.
             motors: index of these on the motor axis.
             is_frozen: whether learning is stopped.
-            follows_level: whether to look if the voltage has moved; else that was restored. Of a
-                misfit nothing is believed, and so nothing is looked at.
+            follows_level: whether to look if the voltage has moved; else that was restored.
 
         Returns:
             What is published of these.
         """
-        is_misfit = self._fit.assessment(0).verdict is FitVerdict.MISFIT
-        if not (is_frozen or is_misfit) and self.level is not None and follows_level:
-            self.level.follow(self.context_nodes)
+        if not is_frozen and self.level is not None and follows_level:
+            is_misfit = self._fit.assessment(0).verdict is FitVerdict.MISFIT
+            self.level.follow(self.context_nodes, is_misfit=is_misfit)
         public_estimate = self.published(estimate, motors)
         if not is_frozen:
             flags = _known_flags(estimate)

@@ -1,4 +1,4 @@
-"""Quantiles and distinct values of signals, to the bit as numpy gives them.
+"""Medians, quantiles and distinct values of signals, to the bit as numpy gives them.
 
 numpy's own import its masked arrays when they are first called. That takes longer than a fit.
 """
@@ -51,7 +51,9 @@ def median(values: Array) -> Array:
         return np.full(values.shape[:-1], np.nan)
     lower, upper = (count - 1) // 2, count // 2
     in_order = np.partition(values, (lower, upper, count - 1), axis=-1)
-    middle = 0.5 * (in_order[..., lower] + in_order[..., upper])
+    middle = in_order[..., lower]
+    if upper > lower:
+        middle = 0.5 * (middle + in_order[..., upper])
     return np.where(np.isnan(in_order[..., -1]), np.nan, middle)
 
 

@@ -290,13 +290,35 @@ class MeasuredSpeedUpdate:
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample by both rules; tell whether the estimate has changed."""
-        was_noisy = self._is_noisy
         has_changed = self._exact.learn(sample)
         self._outputs.remember(sample)
-        fits = self._outputs.counters()
         if self._outputs.is_due:
             self._ask()
-        has_fitted = self._has_fitted(self._outputs.advance)
+        return self._went_on(self._outputs.advance, has_changed=has_changed)
+
+    def finish(self) -> bool:
+        """Do what is left of a fit of both outputs, for no samples will come.
+
+        Where its results are made known, what has come since is fitted too.
+
+        Returns:
+            Whether the estimate has changed.
+        """
+        has_changed = self._went_on(self._outputs.complete, has_changed=False)
+        if (self._is_noisy or self._mechanics is not None) and self._outputs.has_news:
+            self._outputs.begin_fit()
+            has_changed |= self._went_on(self._outputs.complete, has_changed=False)
+        return has_changed
+
+    def _went_on(self, go_on: Callable[[], bool | None], *, has_changed: bool) -> bool:
+        """Go on with the fit of both outputs; tell whether the estimate has changed.
+
+        Args:
+            go_on: goes on with it.
+            has_changed: whether the recursive rule has changed its own.
+        """
+        was_noisy, fits = self._is_noisy, self._outputs.counters()
+        has_fitted = self._has_fitted(go_on)
         if self._is_noisy or was_noisy:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
@@ -310,20 +332,6 @@ class MeasuredSpeedUpdate:
             self._outputs.begin_fit()
         else:
             self._outputs.postpone()
-
-    def finish(self) -> bool:
-        """Do what is left of a fit of both outputs, for no samples will come.
-
-        Where the speed is noisy, what has come since is fitted too.
-
-        Returns:
-            Whether the estimate has changed.
-        """
-        has_changed = self._has_fitted(self._outputs.complete)
-        if self._is_noisy and self._outputs.has_news:
-            self._outputs.begin_fit()
-            has_changed |= self._has_fitted(self._outputs.complete)
-        return has_changed
 
     def _has_fitted(self, go_on: Callable[[], bool | None]) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""

@@ -32,12 +32,11 @@ SOON = 1024
 """Samples after which an examination has nothing to do with the one before."""
 
 FREE_EXAMINATIONS = 3
-"""So many, one soon after the other, are not put off: a change may need a few until its samples
-tell which it was."""
+"""Examinations in a row, each soon after the one before, after which the next one is not put off: a
+change may need a few until its samples tell which it was."""
 
 STEADY_EXAMINATIONS = 5
-"""So many, one soon after the other, may still be of a winding that heats: what jumps again and
-again is none."""
+"""The same up to which a winding may heat: what jumps again and again is none."""
 
 GROWTH = 4
 """Factor from one patience to the next."""

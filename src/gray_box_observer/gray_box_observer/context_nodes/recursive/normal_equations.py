@@ -86,9 +86,9 @@ def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
     """Standard deviation from the median absolute deviation, shape (motor,); robust."""
     sizes = np.where(valid, np.abs(residual), np.inf)
     middle = np.maximum(valid.sum(axis=1) - 1, 0) // 2
-    sizes.partition(sorted({*middle.tolist()}), axis=1)
-    median = sizes[np.arange(sizes.shape[0]), middle]
-    std: Array = MAD_TO_STD * np.where(np.isfinite(median), median, 0.0)
+    sizes.partition([*{0, *middle.tolist()}], axis=1)
+    middle_size = sizes[np.arange(sizes.shape[0]), middle]
+    std: Array = MAD_TO_STD * np.where(np.isfinite(middle_size), middle_size, 0.0)
     return std
 
 

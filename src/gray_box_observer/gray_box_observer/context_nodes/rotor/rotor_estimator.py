@@ -72,6 +72,9 @@ WINDOW = 2048
 AGAIN = 1024
 """Samples between two fits from then on."""
 
+NEWS = 32
+"""Samples since the last fit, at least, that are worth another one at the end of a recording."""
+
 LONGEST_WAIT = 4096
 """The same at last, of a motor that nothing fits."""
 
@@ -294,7 +297,11 @@ class RotorUpdate:
         return bool(has_changed)
 
     def complete(self) -> bool:
-        """Do what is left of the fit under way, within bounds; tell whether it has an estimate."""
+        """Do what is left of the fit under way, within bounds; tell whether it has changed it.
+
+        Returns:
+            Whether the estimate has changed.
+        """
         if self._fit_task is None or self._is_frozen:
             return False
         with np.errstate(all='ignore'):
@@ -303,7 +310,7 @@ class RotorUpdate:
         return bool(has_changed)
 
     def finish(self) -> bool:
-        """Fit what has come since the last fit too, for no samples will come.
+        """Do what is left of a fit, for no samples will come; before a full window another one.
 
         Returns:
             Whether the estimate has changed.
@@ -316,9 +323,13 @@ class RotorUpdate:
 
     @property
     def has_news(self) -> bool:
-        """Whether enough samples have come since the last fit for another one."""
-        is_enough = self._place >= max(FIRST_FIT, self._begun_at + STILL)
-        return is_enough and not self._is_frozen
+        """Whether samples have come since the last fit that a motor lacks which is hardly known.
+
+        Beside a full window a few samples tell next to nothing, and might tell of a change.
+        """
+        new_count, window_count = self._place - self._begun_at, self._place - self._mark
+        is_enough = new_count >= NEWS and window_count >= FIRST_FIT
+        return is_enough and self._memory is None and not self._is_frozen
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.
@@ -332,7 +343,7 @@ class RotorUpdate:
         self._stamp_ns = stamp_ns
         for count in sorted({min(WINDOW, content.shape[2]), content.shape[2]}):
             self.replay.refill(content[:, :, :count])
-            self._place = count
+            self._place = self._begun_at = count
             if count >= self._due:
                 samples = self.replay.newest(min(count - self._mark, WINDOW))[:, 0].copy()
                 yield from self._fit(count, samples)
@@ -492,6 +503,7 @@ class RotorUpdate:
             'stamp_ns': self._stamp_ns,
             'mark': self._mark - received_count,
             'due': self._due - received_count,
+            'begun': self._begun_at - received_count,
             'wait': self._wait,
             'gone': received_count - content.shape[2],
             'begin': int(self.replay.begin()[0]),
@@ -533,6 +545,7 @@ class RotorUpdate:
         self._place = received_count = int(self.replay.received[0])
         self._mark = max(received_count + plain['mark'], 0)
         self._due = received_count + plain['due']
+        self._begun_at = received_count + plain.get('begun', 0)
         self._wait = plain['wait']
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         self._is_settled = plain['settled']
@@ -556,8 +569,9 @@ class RotorUpdate:
         place = self._place + whole(plain, 'place', min(earliest, 0), 0)
         self._begin(place, arrays['fitting'][:, 0])
         assert self._fit_task is not None
+        pieces = whole(plain, 'pieces', 0, MOST_PIECES)
         with np.errstate(all='ignore'):
-            self._budget.repeat(self._fit_task.work, whole(plain, 'pieces', 0, MOST_PIECES))
+            self._budget.repeat(self._fit_task.work, pieces)
 
     def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Refuse a saved state that could not have been learnt.
@@ -585,6 +599,8 @@ class RotorUpdate:
         whole(plain, 'due', -MOST, LONGEST_WAIT)
         whole(plain, 'wait', AGAIN, LONGEST_WAIT)
         whole(plain, 'begin', 0, dropped_count + arrays['replay'].shape[2])
+        if 'begun' in plain:  # not in files of releases that did not ask
+            whole(plain, 'begun', -MOST, 0)
         for name in ('settled', 'resumes', 'remembers'):
             flag(plain, name)
         if 'rivals' in plain:  # not in files of releases that did not remember it
