@@ -21,7 +21,7 @@ def entry(value: float | None, std: float | None, unit: str) -> dict[str, object
     return {'value': value, 'std': std, 'unit': unit, 'verdict': 'identified'}
 
 
-def text_of(**changed: object) -> list[str]:
+def text_of(fit: FitVerdict = FitVerdict.OK, **changed: object) -> list[str]:
     """Return the lines that are written of one motor."""
     motor = {
         'samples': 100,
@@ -36,7 +36,7 @@ def text_of(**changed: object) -> list[str]:
         **changed,
     }
     stream = io.StringIO()
-    fits = {'m': FitAssessment(FitVerdict.OK, 1.0, 1.0, (), 100)}
+    fits = {'m': FitAssessment(fit, 1.0, 1.0, (), 100)}
     write_text({'motors': {'m': motor}}, fits, stream)
     return stream.getvalue().splitlines()
 
@@ -64,6 +64,33 @@ def test_what_is_scored_stands_in_columns_with_its_unit() -> None:
 def test_every_number_of_a_delay_has_its_unit() -> None:
     said = text_of(delay_s={'value': 0.05, 'std': 1e-4, 'applied': 0.0})
     assert '0.05 +- 0.0001 s found in the data; 0 s applied' in '\n'.join(said)
+
+
+def steps_of(verdict: str = 'unexcited', fit: FitVerdict = FitVerdict.OK) -> list[str]:
+    """Return the next steps of a motor with L/R of 0.5 ms, sampled each 10 ms."""
+    values = {'inductance': (1e-3, 'H'), 'resistance': (2.0, 'ohm'), 'hysteresis': (1.0, 'ohm')}
+    parameters = {
+        name: {**entry(value, 0.1, unit), 'verdict': verdict}
+        for name, (value, unit) in values.items()
+    }
+    lines = text_of(fit, parameters=parameters, derived={})
+    return [line.split(maxsplit=2)[2] for line in lines if line.startswith('  next step')]
+
+
+def test_what_can_be_done_about_each_verdict_is_said() -> None:
+    short, rest = steps_of()
+    assert short.startswith(
+        'inductance: L/R of 0.5 ms is shorter than the sample interval of 10 ms'
+    )
+    assert 'm.stamps_exact: true' in short
+    assert rest.startswith('resistance, hysteresis: the recording tells nothing of it')
+    assert steps_of('converging')[1].startswith('resistance, hysteresis: not known to 2 % yet')
+    assert steps_of('implausible')[0].startswith('inductance, resistance, hysteresis: check')
+
+
+def test_nothing_is_to_be_done_about_what_is_known_or_a_misfit() -> None:
+    assert steps_of('identified') == steps_of('negligible') == []
+    assert steps_of('unexcited', FitVerdict.MISFIT) == []
 
 
 def test_the_last_cell_of_a_row_widens_no_column() -> None:

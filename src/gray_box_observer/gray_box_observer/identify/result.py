@@ -34,7 +34,7 @@ def warnings_of(outcome: Outcome, *, with_fits: bool = True) -> list[str]:
         )
         for name, estimate in observer.estimates().items()
     }
-    complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
+    complaints = [motor.delay_complaint for motor in motors.values()]
     mix_ups = [observer.mix_up(name) for name in observer.motors]
     fits = {name: motor.fit for name, motor in observer.motors.items()} if with_fits else {}
     return [
@@ -154,6 +154,6 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     }
     if motor.alarm is not None:
         values['alarms'] = {'raised': len(alarms_s), 'first_s': alarms_s[0] if alarms_s else None}
-    if delay.is_estimated or delay.complaint(name) is not None:
+    if delay.is_estimated or motor.delay_complaint is not None:
         values['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
     return values

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.identify.next_steps import next_steps
 from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.safe_io.finite import words_of
 from gray_box_observer.safe_io.printable import printable
@@ -55,7 +56,8 @@ def write_text(
             f's{fit_part}',
             file=stream,
         )
-        for line in _lines(motor):
+        is_misfit = name in fits and fits[name].verdict is FitVerdict.MISFIT
+        for line in _lines(motor, [] if is_misfit else next_steps(name, motor)):
             print(f'  {printable(line)}', file=stream)
 
 
@@ -68,8 +70,8 @@ RIGHT = (1,)
 """Place of the value among the cells of a parameter."""
 
 
-def _lines(motor: Mapping[str, Any]) -> list[str]:
-    """Return what there is to say of one motor, line by line."""
+def _lines(motor: Mapping[str, Any], steps: Sequence[str] = ()) -> list[str]:
+    """Return what there is to say of one motor, and what to do about it, line by line."""
     rows = [
         [
             *parameter_cells(name, entry['value'], entry['std'], entry['unit']),
@@ -96,6 +98,7 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
         for reason, count in motor['rejected'].items()
         if count
     ]
+    sentences += [('next step', step) for step in steps]
     lines += [f'{label:<{width}}  {sentence}' for label, sentence in sentences]
     if 'validation' in motor:
         lines += _validation_lines(motor['validation'])

@@ -14,7 +14,7 @@ from gray_box_observer.context_nodes.derived_constants import (
 )
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
@@ -125,6 +125,13 @@ class MotorView:
     def theta(self) -> Array:
         """The present values, shape (1, parameter)."""
         return self.observer.context_nodes.theta[self._one]
+
+    @property
+    def delay_complaint(self) -> str | None:
+        """What is wrong with its delay, and what to do; None where something else is likelier."""
+        fit, complaint = self.fit, self.delay.complaint(self.configuration.name)
+        likeliest = fit.suspects[0].effect if fit.suspects else 'delay'
+        return None if fit.verdict is FitVerdict.MISFIT and likeliest != 'delay' else complaint
 
     @property
     def identified(self) -> bool:

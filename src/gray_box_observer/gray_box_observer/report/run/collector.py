@@ -263,7 +263,7 @@ def notes(name: str, observer: Observer) -> list[str]:
     assumption_texts = assumptions(motor.configuration, motor.white_box)
     sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumption_texts.values()]
     delay = motor.delay
-    complaint = delay.complaint(name)
+    complaint = motor.delay_complaint
     if complaint is not None:
         sentences.append(
             f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.'

@@ -271,7 +271,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     stall = observer.motors[motor].stall
     if stall is not None and stall.sentence is not None:
         return DiagnosticStatus.WARN, stall.sentence
-    complaint = observer.motors[motor].delay.complaint(motor)
+    complaint = observer.motors[motor].delay_complaint
     if complaint is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, complaint
     fit = observer.fit(motor)

@@ -1,0 +1,55 @@
+"""What the user of ``identify`` can do about parameters that its recording does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.observer.verdict_advice import ADVICE
+
+SHORT = 0.8
+"""Sample intervals up to which L/R leans on the instant at which the voltage acts."""
+
+REMEDIES = {
+    Verdict.IMPLAUSIBLE: ADVICE[Verdict.IMPLAUSIBLE],
+    Verdict.UNEXCITED: 'the recording tells nothing of it: vary the voltage',
+    Verdict.CONVERGING: 'not known to 2 % yet: record for longer, or vary the voltage more',
+}
+"""By verdict, what matters most first."""
+
+
+def next_steps(name: str, motor: Mapping[str, Any]) -> list[str]:
+    """Return one line for each thing to do about a motor whose fit is no misfit.
+
+    Args:
+        name: of the motor.
+        motor: its result, as :func:`~gray_box_observer.identify.result.describe` gives it.
+    """
+    verdicts = {p: entry['verdict'] for p, entry in motor['parameters'].items()}
+    steps = []
+    if verdicts.get('inductance') in (Verdict.UNEXCITED.value, Verdict.CONVERGING.value):
+        step = _of_short_time_constant(name, motor)
+        if step is not None:
+            steps.append(step)
+            del verdicts['inductance']
+    for verdict, remedy in REMEDIES.items():
+        names = [parameter for parameter, own in verdicts.items() if own == verdict.value]
+        if names:
+            steps.append(f'{", ".join(names)}: {remedy}')
+    return steps
+
+
+def _of_short_time_constant(name: str, motor: Mapping[str, Any]) -> str | None:
+    """Say what to do where L/R is shorter than a sample interval; None where it is not."""
+    values = [motor['parameters'].get(p, {}).get('value') for p in ('inductance', 'resistance')]
+    if not (motor['samples'] and all(value is not None and value > 0.0 for value in values)):
+        return None
+    interval_s, time_constant_s = motor['duration_s'] / motor['samples'], values[0] / values[1]
+    if not time_constant_s < SHORT * interval_s:
+        return None
+    return (
+        f'inductance: L/R of {1e3 * time_constant_s:.2g} ms is shorter than the sample interval of '
+        f'{1e3 * interval_s:.2g} ms: sample faster, or set {name}.stamps_exact: true if voltage '
+        'acts at the instant of its stamp'
+    )
