@@ -303,3 +303,24 @@ def test_only_where_kb_is_known_the_speed_can_be_an_output() -> None:
     assert can_be_output(MEASURED)
     assert not can_be_output(MotorWhiteBox(nodes, KT, {}, True))
     assert not can_be_output(MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('sensor', 'is_noisy'), [('late', True), ('exact', False)])
+def test_of_samples_of_the_past_it_is_asked_at_once_whether_the_speed_is_late(
+    sensor: str, is_noisy: bool
+) -> None:
+    samples = readings(sensor)[:1024]
+    content = content_with_speed(sensor)
+    asked, unasked = rule(), rule()
+    completed(asked.learn_remembered(content, samples[-1], asks_speed=True))
+    completed(unasked.learn_remembered(content, samples[-1], asks_speed=False))
+    assert asked.is_noisy == is_noisy
+    assert not unasked.is_noisy
+
+
+def content_with_speed(sensor: str) -> np.ndarray:
+    """First samples as a replay buffer holds them, with the speed as a sensor reads it."""
+    content = content_of(recorded())[:, None, :1024].copy()
+    content[3, 0] = [sample.speed_rad_s[0] for sample in readings(sensor)[:1024]]
+    return content

@@ -311,3 +311,20 @@ def test_the_text_says_what_was_added() -> None:
     }  # fmt: skip
     lines = [' '.join(line.split()) for line in text_lines(motor)]
     assert 'effects added brush_drop: because' in lines
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_nothing_is_added_for_a_speed_that_comes_late(seed: int) -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 6.0, seed)
+    late = np.concatenate([np.zeros(2), record.speed_rad_s[0, :-2]])
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    for k in range(record.stamp_ns.size):
+        stamp = int(record.stamp_ns[k])
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        observer.torque('motor', stamp, float(record.torque_nm[0, k]), float(late[k]))
+    motor = observer.motors['motor']
+    assert motor.added_effects == ()
+    value, std, verdict = values_of(motor)['resistance']
+    assert verdict == 'identified'
+    assert abs(value - GEAR_MOTOR.resistance) < 4.0 * std

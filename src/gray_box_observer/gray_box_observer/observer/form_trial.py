@@ -14,11 +14,17 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.context_nodes.pieces import FINISHED, MOST_PIECES, Pieces, WorkBudget
+from gray_box_observer.context_nodes.pieces import (
+    FINISHED,
+    MOST_PIECES,
+    Pieces,
+    WorkBudget,
+    bounded,
+)
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.motor_form import FormKind, FormMaker, MotorForm
+from gray_box_observer.observer.motor_form import MEASURED, FormKind, FormMaker, MotorForm
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -52,6 +58,10 @@ brings nothing where there is none."""
 
 HALF = 0.5
 """Share of the residual that the other form may leave where its own test warns."""
+
+LATE, LATE_WORK = 384, 131072
+"""Newest samples that are asked whether a noisy or late speed explains them as well, before an
+effect is added beside a measured speed, and the work of that, at most."""
 
 CATCH_UP, WORK_A_CATCH = 64, 3072
 """Samples that a form takes over in one piece of work, once it is adopted, and what that costs."""
@@ -200,6 +210,13 @@ class FormTrial:
             before_a = min(before_a, same.residual(content))
         if not self._is_better(fit, estimate, left_a, before_a):
             return TrialOutcome(None, self._why_not(fit, estimate))
+        if start.kind.source == kind.source == MEASURED:
+            late = self._make(start.kind)
+            newest = content[:, :, -LATE:]
+            work = late.learn_remembered(newest, start.stamp_ns, asks_speed=True)
+            yield from bounded(work, LATE_WORK)
+            if late.fit.assessment(0).verdict in (FitVerdict.OK, FitVerdict.WARNING):
+                return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
         return TrialOutcome(
             other,
             f'{kind.in_words} explains the data: the residual of its free run is '

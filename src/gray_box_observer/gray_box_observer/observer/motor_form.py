@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, RotorUpdate
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    MeasuredSpeedUpdate,
+    RotorUpdate,
+)
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.delay import DelayRound, DelayWatch
@@ -108,17 +113,24 @@ class MotorForm:
         """Whether :meth:`learn_remembered` goes on from what it has found in fewer samples."""
         return isinstance(self.context_nodes, RotorUpdate)
 
-    def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[Estimate]:
+    def learn_remembered(
+        self, content: Array, stamp_ns: int, *, asks_speed: bool = False
+    ) -> Pieces[Estimate]:
         """Learn the samples that another form remembers, all at once, and test the fit.
 
         Args:
             content: shape (signal, 1, n), as a replay buffer gives it.
             stamp_ns: of the newest of them.
+            asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
         work = WORK_A_SAMPLE * content.shape[2]
         if isinstance(nodes, RotorUpdate):
             yield from nodes.learn_remembered(content, stamp_ns)
+        elif isinstance(nodes, MeasuredSpeedUpdate):
+            newest = _sample(content[:, 0, -1], stamp_ns)
+            yield from nodes.learn_remembered(content, newest, asks_speed=asks_speed)
+            yield work
         else:
             plain, arrays = nodes.state()
             nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})

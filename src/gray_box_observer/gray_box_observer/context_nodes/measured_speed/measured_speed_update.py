@@ -34,6 +34,7 @@ from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
     remembering,
     with_motor_speed,
 )
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
@@ -295,6 +296,23 @@ class MeasuredSpeedUpdate:
         if self._outputs.is_due:
             self._ask()
         return self._went_on(self._outputs.advance, has_changed=has_changed)
+
+    def learn_remembered(self, content: Array, sample: Sample, *, asks_speed: bool) -> Pieces[None]:
+        """Learn samples of the past; nothing else may have been learnt before.
+
+        Args:
+            content: shape (signal, 1, n), as a replay buffer gives it.
+            sample: the newest of them.
+            asks_speed: whether to ask now if the speed is noisy or late, by a fit of both outputs.
+        """
+        plain, arrays = self._exact.state()
+        self._exact.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
+        self._exact.learn(sample)
+        self._outputs.begin_with(content, sample.stamp_ns)
+        if asks_speed and self._is_worth_asking(self._outputs.unfitted):
+            self._outputs.begin_fit()
+            yield from self._outputs.work_off()
+            self._went_on(self._outputs.complete, has_changed=True)
 
     def finish(self) -> bool:
         """Do what is left of a fit of both outputs, for no samples will come.

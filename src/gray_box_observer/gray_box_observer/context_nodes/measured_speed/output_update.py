@@ -78,6 +78,18 @@ class OutputUpdate(RotorUpdate):
             sample = sample._replace(speed_rad_s=self._speed)
         super().remember(sample)
 
+    def begin_with(self, content: Array, stamp_ns: int) -> None:
+        """Remember samples of the past; nothing else may have been remembered before.
+
+        Args:
+            content: shape (signal, 1, n), as a replay buffer gives it.
+            stamp_ns: of the newest of them.
+        """
+        self._stamp_ns = stamp_ns
+        self.replay.refill(content)
+        self._place = content.shape[2]
+        self._speed = content[SPEED, :, -1].copy()
+
     @property
     def unfitted(self) -> Array:
         """Return the samples since the last full window, at most one, shape (signal, n)."""

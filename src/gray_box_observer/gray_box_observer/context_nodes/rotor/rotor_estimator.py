@@ -14,7 +14,7 @@ way and how many pieces of it were done, and these are done again where it is re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -295,6 +295,13 @@ class RotorUpdate:
             return None
         self._fit_task = None
         return bool(has_changed)
+
+    def work_off(self) -> Pieces[None]:
+        """Do the fit under way piece by piece; :meth:`complete` then tells what came of it."""
+        task = self._fit_task
+        if task is not None:
+            result = yield from task.work
+            self._fit_task = replace(task, work=_ended(result))
 
     def complete(self) -> bool:
         """Do what is left of the fit under way, within bounds; tell whether it has changed it.
@@ -605,6 +612,12 @@ class RotorUpdate:
             flag(plain, name)
         if 'rivals' in plain:  # not in files of releases that did not remember it
             flag(plain, 'rivals')
+
+
+def _ended(result: bool) -> Pieces[bool]:
+    """Work of which nothing is left but its result."""
+    yield from ()
+    return result
 
 
 def _inverse(matrix: Array) -> Array:
