@@ -128,8 +128,9 @@ def run(
 
     try:
         for name in _feed_all(bags, configuration, outcome, ingest, progress, limits):
-            courses[name].count_changes(observer.motors[name].changes)
-            _take_in(digest, name, observer.motors[name].estimate)
+            if name in courses:
+                courses[name].count_changes(observer.motors[name].changes)
+                _take_in(digest, name, observer.motors[name].estimate)
     finally:
         observer.close()
     if not courses and not observer.incidents:

@@ -304,7 +304,7 @@ class RotorUpdate:
             self._fit_task = replace(task, work=_ended(result))
 
     def complete(self) -> bool:
-        """Do what is left of the fit under way, within bounds; tell whether it has changed it.
+        """Do what is left of the fit under way, within bounds.
 
         Returns:
             Whether the estimate has changed.
@@ -330,9 +330,9 @@ class RotorUpdate:
 
     @property
     def has_news(self) -> bool:
-        """Whether samples have come since the last fit that a motor lacks which is hardly known.
+        """Whether enough samples have come since the last fit, before the first full window.
 
-        Beside a full window a few samples tell next to nothing, and might tell of a change.
+        Beside a full window a few samples tell next to nothing, and might seem to tell a change.
         """
         new_count, window_count = self._place - self._begun_at, self._place - self._mark
         is_enough = new_count >= NEWS and window_count >= FIRST_FIT
