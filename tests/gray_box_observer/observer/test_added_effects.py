@@ -317,13 +317,8 @@ def test_the_text_says_what_was_added() -> None:
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_nothing_is_added_for_a_speed_that_comes_late(seed: int) -> None:
     record = recorded(GEAR_MOTOR, LIVELY, 6.0, seed)
-    late = np.concatenate([np.zeros(2), record.speed_rad_s[0, :-2]])
-    observer = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
-    for k in range(record.stamp_ns.size):
-        stamp = int(record.stamp_ns[k])
-        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
-        observer.torque('motor', stamp, float(record.torque_nm[0, k]), float(late[k]))
-    motor = observer.motors['motor']
+    late = np.concatenate([np.zeros((1, 2)), record.speed_rad_s[:, :-2]], axis=1)
+    motor = fed(replace(record, speed_rad_s=late)).motors['motor']
     assert motor.added_effects == ()
     value, std, verdict = values_of(motor)['resistance']
     assert verdict == 'identified'

@@ -168,7 +168,7 @@ def test_a_state_of_an_early_release_begins_anew() -> None:
 def test_of_a_misfit_no_loss_is_looked_for() -> None:
     record = recorded(GEAR_MOTOR, LIVELY, 2.0, 3)
     observer = Observer(Configuration.from_flat({**CONSTANTS, 'motor.context_nodes': NODES[:2]}))
-    feed_speed(observer, record)
+    fed(record, 0, record.stamp_ns.size, observer)
     nodes = observer.motors['motor'].observer.context_nodes
     box = observer.motors['motor'].white_box
     idle, doubt = LevelDoubt(box), LevelDoubt(box)
@@ -177,12 +177,3 @@ def test_of_a_misfit_no_loss_is_looked_for() -> None:
     assert idle.has_moved
     assert idle.state(0)['information']['intervals'] == 0
     assert doubt.state(0)['information']['intervals'] > 0
-
-
-def feed_speed(observer: Observer, record: Recording) -> None:
-    """Feed a record with its speed."""
-    for k in range(record.stamp_ns.size):
-        stamp = int(record.stamp_ns[k])
-        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
-        w = float(record.speed_rad_s[0, k])
-        observer.torque('motor', stamp, float(record.torque_nm[0, k]), w)

@@ -127,6 +127,5 @@ class WorkBudget:
         """
         budget = cls()
         if 'credit' in plain:
-            credit = whole(plain, 'credit', -MOST, MOST)
-            budget.credit = min(credit, SAVED)  # releases before saved up more
+            budget.credit = whole(plain, 'credit', -MOST, SAVED)
         return budget

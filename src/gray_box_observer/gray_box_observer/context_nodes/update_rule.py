@@ -61,6 +61,22 @@ class ContextUpdate(Protocol):
         """Stop or resume learning; what was learnt stays."""
 
 
+def learn_at_once(nodes: ContextUpdate, content: Array, newest: Sample) -> None:
+    """Give a rule samples of the past as what it remembers, and let it learn the newest of them.
+
+    The recursive rule then fits everything at once, which takes a fraction of the time of learning
+    one sample after another.
+
+    Args:
+        nodes: the rule, which has learnt nothing yet.
+        content: shape (signal, motor, n): the samples, as a replay buffer gives them.
+        newest: the last of them.
+    """
+    plain, arrays = nodes.state()
+    nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
+    nodes.learn(newest)
+
+
 def check_parameters(plain: Mapping[str, Any], parameters: Sequence[Parameter]) -> None:
     """Refuse a saved state of other parameters than those of a rule.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,14 +154,13 @@ class FineSearch:
         self._maps = linearise(self._white_box, self._p, stretch, self._about)
         self._predict(stretch, self._gain)
         if self._gain > 0.0:  # an outlier must not be followed
-            near: Array = (np.abs(self._residual) < OUTLIER * self._scale).astype(float)
-            self._predict(stretch, self._gain * near)
+            self._predict(stretch, self._gain * (np.abs(self._residual) < OUTLIER * self._scale))
         weights = np.minimum(
             1.0, OUTLIER * self._scale / np.maximum(np.abs(self._residual), 1e-300)
         )
         self._weights = weights * self._valid
 
-    def _predict(self, stretch: SampleWindow, gain: Array | float) -> None:
+    def _predict(self, stretch: SampleWindow, gain: float | NDArray[np.floating[Any]]) -> None:
         self._gains = gain * np.ones_like(self._state)
         self._path = follow(self._maps, stretch, self._first, self._gains)
         self._residual = self._state - self._path.state
@@ -215,7 +215,7 @@ class FineSearch:
         stretch = self._stretch(self._delay_s)
         least, count = self._spread(), float(np.sum(self._valid))
         best_gain = 0.0
-        near: Array = (np.abs(self._residual) < OUTLIER * self._scale).astype(float)
+        near = np.abs(self._residual) < OUTLIER * self._scale
         for gain in GAINS:
             self._predict(stretch, gain * near)
             spread = self._spread()

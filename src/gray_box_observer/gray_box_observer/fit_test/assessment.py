@@ -37,13 +37,6 @@ class FitVerdict(str, Enum):
     MISFIT = 'misfit'
 
 
-UNTESTED = (
-    'It is not tested whether the white box explains the data: samples are too few, or the voltage '
-    'hardly varies.'
-)
-"""What is said of a motor before its first test."""
-
-
 @dataclass(frozen=True, slots=True)
 class Suspect:
     """An effect that the white box leaves out and that would explain the residual.
@@ -105,7 +98,10 @@ class FitAssessment:
     def sentence(self) -> str:
         """Say in one sentence whether the white box explains the data, for people."""
         if self.verdict is FitVerdict.UNTESTED:
-            return UNTESTED
+            return (
+                'It is not tested whether the white box explains the data: samples are too few, or '
+                'the voltage hardly varies.'
+            )
         size = 'the residual of the free run is no number'
         if math.isfinite(self.ratio):
             size = f'the residual of the free run is {self.ratio:.3g} times the noise'

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.fit_test.policy import SHORTEST
 from gray_box_observer.observer.verdict_advice import ADVICE
-
-SHORT = 0.8
-"""Sample intervals up to which L/R leans on the instant at which the voltage acts."""
 
 REMEDIES = {
     Verdict.IMPLAUSIBLE: ADVICE[Verdict.IMPLAUSIBLE],
@@ -46,7 +44,7 @@ def _of_short_time_constant(name: str, motor: Mapping[str, Any]) -> str | None:
     if not (motor['samples'] and all(value is not None and value > 0.0 for value in values)):
         return None
     interval_s, time_constant_s = motor['duration_s'] / motor['samples'], values[0] / values[1]
-    if not time_constant_s < SHORT * interval_s:
+    if not time_constant_s < max(SHORTEST) * interval_s:
         return None
     return (
         f'inductance: L/R of {1e3 * time_constant_s:.2g} ms is shorter than the sample interval of '

@@ -16,6 +16,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
@@ -124,17 +125,14 @@ class MotorForm:
             asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
-        work = WORK_A_SAMPLE * content.shape[2]
+        work, newest = WORK_A_SAMPLE * content.shape[2], _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
             yield from nodes.learn_remembered(content, stamp_ns)
         elif isinstance(nodes, MeasuredSpeedUpdate):
-            newest = _sample(content[:, 0, -1], stamp_ns)
             yield from nodes.learn_remembered(content, newest, asks_speed=asks_speed)
             yield work
         else:
-            plain, arrays = nodes.state()
-            nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
-            nodes.learn(_sample(content[:, 0, -1], stamp_ns))
+            learn_at_once(nodes, content, newest)
             yield work
         estimate = nodes.estimate()
         assert isinstance(self.delay, DelayWatch)  # of one motor

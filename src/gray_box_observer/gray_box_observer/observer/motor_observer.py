@@ -16,6 +16,7 @@ from gray_box_observer.context_nodes import (
     VerdictSettings,
 )
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
+from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
@@ -429,19 +430,12 @@ class MotorObserver:
         return alarm.is_raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
-        """Restart with new context nodes from samples paired anew; the network trains on.
-
-        The nodes are given all but the last sample as what they remember and learn the last: the
-        recursive rule then fits everything at once, which takes a fraction of the time of learning
-        one sample after another.
-        """
+        """Restart with new context nodes from samples paired anew; the network trains on."""
         if not samples:
             return
         self.run_deferred()
         content = ReplayBuffer.from_samples(samples).content()
-        plain, arrays = context_nodes.state()
-        context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
-        context_nodes.learn(samples[-1])
+        learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
         forecasting = self._forecasting
         if forecasting is not None:

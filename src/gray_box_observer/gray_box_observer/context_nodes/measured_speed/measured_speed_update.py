@@ -40,6 +40,7 @@ from gray_box_observer.context_nodes.recursive.estimator_settings import Recursi
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
+from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
@@ -305,9 +306,7 @@ class MeasuredSpeedUpdate:
             sample: the newest of them.
             asks_speed: whether to ask now if the speed is noisy or late, by a fit of both outputs.
         """
-        plain, arrays = self._exact.state()
-        self._exact.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
-        self._exact.learn(sample)
+        learn_at_once(self._exact, content, sample)
         self._outputs.begin_with(content, sample.stamp_ns)
         if asks_speed and self._is_worth_asking(self._outputs.unfitted):
             self._outputs.begin_fit()

@@ -33,8 +33,8 @@ from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 MOST_WORK = 3 * SAVED
-"""Work of a search from anywhere: mostly what explains a window is found with less. Else it is
-given up, and more samples are waited for."""
+"""Work of a search from anywhere: what explains a window is found with less. Of the motors that
+nothing explains it is given up, and more samples are waited for."""
 
 
 class OutputUpdate(RotorUpdate):

@@ -576,9 +576,8 @@ class RotorUpdate:
         place = self._place + whole(plain, 'place', min(earliest, 0), 0)
         self._begin(place, arrays['fitting'][:, 0])
         assert self._fit_task is not None
-        pieces = whole(plain, 'pieces', 0, MOST_PIECES)
         with np.errstate(all='ignore'):
-            self._budget.repeat(self._fit_task.work, pieces)
+            self._budget.repeat(self._fit_task.work, whole(plain, 'pieces', 0, MOST_PIECES))
 
     def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Refuse a saved state that could not have been learnt.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gray_box_observer.fit_test.assessment import UNTESTED
+from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.report.report_errors import ReportError
 
 FloatArray = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ class FitHistory:
     """
 
     verdict: str = 'untested'
-    sentence: str = UNTESTED
+    sentence: str = FitAssessment().sentence
     percent: float | None = None
     autocorrelation: FloatArray | None = None
     band: float = 0.0
