@@ -135,6 +135,8 @@ class FitMonitor:
             estimate: as it gives it, one row for each of some motors.
             motors: their places on the motor axis.
         """
+        if not self._limited_motors:
+            return estimate
         rows = [row for row, motor in enumerate(motors.tolist()) if motor in self._limited_motors]
         if not rows:
             return estimate

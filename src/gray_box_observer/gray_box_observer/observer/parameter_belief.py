@@ -63,7 +63,9 @@ class ParameterBelief:
             is_exact = bool(form.fit.configuration(0).values['stamps_exact'])
             self.level = LevelDoubt(form.white_box, stamps_exact=is_exact)
         self._known_parts = form.white_box.known_parts
+        self._has_known_parts = bool(self._known_parts.any())
         self._places = np.arange(motors)
+        self._kept_verdicts: Any = None  # of every motor, that the flags stand for; None: not known
 
     def present(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of some motors, believed as far as the fit allows."""
@@ -89,13 +91,13 @@ class ParameterBelief:
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
+        if not self._has_known_parts:
+            return estimate
         return self._signed(estimate.with_known_parts(self._known_parts), motors)
 
     def _signed(self, estimate: Estimate, motors: Any) -> Estimate:
         """Judge parameters of either sign by themselves, not by their distance from a bound."""
         places = np.flatnonzero(self._known_parts).tolist()
-        if not places:
-            return estimate
         std, verdicts = estimate.std, [list(row) for row in estimate.verdicts]
         for row, motor in enumerate(self._places[motors].tolist()):
             shares = self.context_nodes.voltage_shares(motor)[0]
@@ -126,14 +128,17 @@ class ParameterBelief:
             is_misfit = self._fit.assessment(0).verdict is FitVerdict.MISFIT
             self.level.follow(self.context_nodes, is_misfit=is_misfit)
         public_estimate = self.published(estimate, motors)
-        if not is_frozen:
+        is_everyone = estimate.value.shape[0] == self._places.size
+        verdicts = estimate.verdicts, public_estimate.verdicts
+        if not (is_frozen or (is_everyone and verdicts == self._kept_verdicts)):
             flags = _known_flags(estimate)
             self._keep_flags(
                 motors,
                 [all(row) for row in flags],
                 flags if public_estimate is estimate else _known_flags(public_estimate),
             )
-        if estimate.value.shape[0] == self._places.size:
+            self._kept_verdicts = verdicts if is_everyone else None
+        if is_everyone:
             self.theta, self.covariance = estimate.value, estimate.covariance
         else:
             self.theta, self.covariance = self.theta.copy(), self.covariance.copy()
@@ -180,6 +185,7 @@ class ParameterBelief:
     def restore_flags(self, motor: int, is_identified: bool, flags: Sequence[bool]) -> None:
         """Take back what was identified of one motor, where learning is stopped."""
         self._keep_flags(slice(motor, motor + 1), is_identified, flags)
+        self._kept_verdicts = None
 
 
 def _known_flags(estimate: Estimate) -> list[list[bool]]:

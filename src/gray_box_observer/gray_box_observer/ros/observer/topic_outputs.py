@@ -63,6 +63,7 @@ class Outputs:
             m: ParameterTopics(node, m, motor.values['context_nodes'])
             for m, motor in motors.items()
         }
+        self._followed_parameters: dict[str, tuple[Parameter, ...]] = {}
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
         self._torques, self._speeds = JointMessages(), JointMessages('velocity')
@@ -229,14 +230,18 @@ class Outputs:
         template = self._covariances.get(motor)
         if template is None:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
-        if np.isfinite(estimate.covariance[0]).all():
-            self._covariance[motor](template.render(estimate.covariance[0]))
+        covariance = estimate.covariance[0]
+        if np.count_nonzero(np.isfinite(covariance)) == covariance.size:
+            self._covariance[motor](template.render(covariance))
         self._identified_topics[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
 
     def _follow_form(self, motor: str, estimate: Estimate) -> None:
         """Let the topics of a motor follow its parameters: those of a rotor come and go."""
+        if estimate.parameters is self._followed_parameters.get(motor):
+            return
+        self._followed_parameters[motor] = estimate.parameters
         names = tuple(parameter.name for parameter in estimate.parameters)
         if self._parameters[motor].follow(
             names, is_active=self._identified_topics[motor].is_active
