@@ -473,3 +473,13 @@ def test_the_steps_of_an_encoder_are_told_as_the_noise_of_its_speed(tmp_path):
     smooth = tmp_path / 'smooth'
     smooth.mkdir()
     assert warnings(smooth, text, *options, 'speed=diff(fine)') == []
+
+
+def test_times_of_even_rows_that_are_rounded_are_warned_of(tmp_path):
+    rows = ''.join(f'{round(k / 0.3)},{k % 7},0.5\n' for k in range(200))
+    summary, _, _ = convert(
+        tmp_path, 't_ms,u_V,i_A\n' + rows, 'time=t_ms[ms]', 'voltage=u_V', 'torque=i_A'
+    )
+    (warning,) = summary.warnings
+    assert 'the time is rounded to 1 ms, though rows seem to come every 3.333' in warning
+    assert 'write sample_period_s=0.003333' in warning

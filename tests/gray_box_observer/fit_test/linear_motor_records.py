@@ -43,7 +43,9 @@ class Record:
             current_a, voltage_v, np.full(voltage_v.shape, INTERVAL_S), 0.0 * current_a, restart
         )
 
-    def observed(self, lost: Collection[int] = (), **motor: object) -> Observer:
+    def observed(
+        self, lost: Collection[int] = (), stamp_step_s: float = 1e-9, **motor: object
+    ) -> Observer:
         """Return an observer that has learnt the record, but for voltages that were lost."""
         values = {
             'torque_constant': TORQUE_CONSTANT,
@@ -55,7 +57,7 @@ class Record:
         for sample, (voltage_v, current_a) in enumerate(
             zip(self.voltage_v, self.current_a, strict=True)
         ):
-            stamp_ns = round(sample * INTERVAL_S * 1e9)
+            stamp_ns = round(round(sample * INTERVAL_S / stamp_step_s) * stamp_step_s * 1e9)
             if sample not in lost:
                 observer.voltage('motor', stamp_ns, float(voltage_v))
             observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))

@@ -277,3 +277,14 @@ def test_a_motor_whose_test_was_put_off_is_tested_at_the_same_sample_after_a_res
         schedules.append(one_observer.state()[0]['fit'])
     assert schedules[0]['soon'] == schedules[0]['due'], 'the test was put off'
     assert schedules[0] == schedules[1]
+
+
+def test_stamps_rounded_to_coarse_steps_are_named_before_what_they_look_like() -> None:
+    voltage_v = steps(2000, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(2000, 0.003, 2))
+    exact = record.observed().motors['motor'].fit
+    rounded = record.observed(stamp_step_s=7e-4).motors['motor'].fit
+    assert exact.verdict is FitVerdict.OK
+    assert rounded.verdict is not FitVerdict.OK
+    assert rounded.suspects[0].effect == 'coarse_stamps'
+    assert 'more finely than to 0.7 ms' in rounded.suspects[0].remedy

@@ -12,6 +12,7 @@ from gray_box_observer.csv_import.column_mapping import CsvMapping
 from gray_box_observer.errors import brief
 from gray_box_observer.expressions.unit_factors import OTHER_UNITS, SI
 from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.samples.stamp_rounding import stamp_rounding
 
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
 """Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
@@ -87,6 +88,21 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     )
     remedy = time_remedy(interval_s, expression)
     return f'{complaint}; {remedy}' if remedy else complaint
+
+
+def rounding_doubt(interval_s: NDArray[np.float64]) -> Iterator[str]:
+    """Say where the times of evenly taken rows are rounded to coarse steps.
+
+    Args:
+        interval_s: from row to row.  shape: (row - 1,)
+    """
+    grid = stamp_rounding(interval_s)
+    if grid is not None:
+        yield (
+            f'the time is rounded to {1e3 * grid.step_s:.3g} ms, though rows seem to come every '
+            f'{1e3 * grid.period_s:.6g} ms; write sample_period_s={grid.period_s:.6g} '
+            'instead of time if it is so'
+        )
 
 
 def time_remedy(interval_s: float, expression: str) -> str:

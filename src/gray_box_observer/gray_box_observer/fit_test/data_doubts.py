@@ -22,9 +22,11 @@ from gray_box_observer.fit_test.back_emf_fit import (
     fit_back_emf,
     noise_share,
 )
-from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
+from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median, quantile
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.samples.stamp_rounding import stamp_rounding
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -88,6 +90,9 @@ steps of it."""
 
 NOISELESS = 1e-4
 """Noise, as a share of the current's spread, of a simulation without any."""
+
+LEAST_ROUNDED = 0.3
+"""Share of the residual that rounding the stamps makes, from which it is named first."""
 
 FEWEST_CLIPPED = 30
 """Readings that these are at least: noise brings a step's worth of readings to the largest value by
@@ -164,6 +169,38 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
             )
             return Suspect('saturation', share * current_a.size, text)
     return None
+
+
+def doubts_of_stamps(
+    interval_s: Array, current_a: Array, analysis: ResidualAnalysis
+) -> list[Suspect]:
+    """Doubt stamps that are rounded to coarse steps, where that makes most of the residual.
+
+    Args:
+        interval_s: shape (n,): 0 where a signal history begins.
+        current_a: shape (n,): readings.
+        analysis: of the same samples.
+
+    Returns:
+        One suspect, or none.
+    """
+    begins = np.flatnonzero(interval_s <= 0.0)
+    newest = slice(int(begins[-1]) + 1 if begins.size else 1, None)
+    grid = stamp_rounding(interval_s[newest])
+    if grid is None:
+        return []
+    slope_a_s = float(np.sqrt(np.mean(np.diff(current_a) ** 2))) / grid.period_s
+    error_a = slope_a_s * grid.step_s * STEP_TO_STD
+    residual_a = analysis.ratio * analysis.floor_a
+    if error_a < LEAST_ROUNDED * residual_a:
+        return []
+    gain = analysis.samples * math.log(max(analysis.ratio, 1.0))
+    text = (
+        f'stamp samples more finely than to {1e3 * grid.step_s:.3g} ms, or evenly: they seem to '
+        f'come every {1e3 * grid.period_s:.6g} ms (of a log: '
+        f'sample_period_s={grid.period_s:.6g} instead of time)'
+    )
+    return [Suspect('coarse_stamps', gain, text)]
 
 
 def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:

@@ -13,7 +13,12 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
+from gray_box_observer.fit_test.data_doubts import (
+    doubt_of_range,
+    doubts,
+    doubts_of_stamps,
+    may_be_duty,
+)
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, REMEDIES
 from gray_box_observer.fit_test.fit_result import FitResult
@@ -40,7 +45,7 @@ from gray_box_observer.fit_test.suspects import (
 )
 from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.fit_test.voltage_level import is_held
-from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -259,7 +264,10 @@ class WindowTest:
             if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             if judgement.verdict is not FitVerdict.OK:
-                suspects = suspects + self._suspects(analysis, candidates)
+                samples = motor.newest(count)[:, 0]
+                current_a = np.asarray(self.white_box.state(samples[TORQUE]), dtype=float)
+                of_stamps = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
+                suspects = suspects + of_stamps + self._suspects(analysis, candidates)
             if judgement.verdict is FitVerdict.MISFIT and not finding.suspects:
                 suspects = self._offsets(motor, analysis) + suspects
         delay = finding.delay_suspect
