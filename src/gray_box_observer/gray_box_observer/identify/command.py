@@ -278,7 +278,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     if shows_text:
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
         with readers_may_leave(sys.stdout):
-            write_text(result, fits, sys.stdout)
+            write_text(result, fits, sys.stdout, warnings)
     if outcome.observer.incidents:
         return EXIT_STOPPED
     unmet = shortfalls(options.require, result, configuration.motors) if options.require else []
