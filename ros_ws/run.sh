@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Runs a command inside the workspace: its Python first on PATH, its packages sourced, nothing of another environment.
+# Runs a command inside the workspace: its Python first on PATH, then its executables; its packages sourced, nothing of
+# another environment.
 #
 #   ros_ws/run.sh python -m pytest tests
-#   ros_ws/run.sh ros_ws/install/gray_box_observer/lib/gray_box_observer/identify --help
+#   ros_ws/run.sh identify bags/moderate --params bags/thesis.yaml
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
@@ -17,5 +18,6 @@ unset PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PA
 set +u    # the generated scripts read unset variables
 # shellcheck disable=SC1091
 . "$root/ros_ws/install/setup.bash"
-export PATH="$root/.venv/bin:$PATH"
+libraries=$root/ros_ws/install
+export PATH="$root/.venv/bin:$libraries/gray_box_observer/lib/gray_box_observer:$libraries/dc_motor_sim/lib/dc_motor_sim:$PATH"
 exec "$@"

@@ -147,6 +147,16 @@ def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name):
         )
 
 
+@pytest.mark.parametrize('name', ['training_set', 'moderate', 'drift'])
+def test_with_the_parameters_that_are_shipped_a_recorded_run_warns_of_nothing(name):
+    command = [sys.executable, '-m', 'gray_box_observer.identify', str(BAGS / name)]
+    params = ['--params', str(BAGS / 'thesis.yaml'), '--skip-predictor']
+    done = subprocess.run(
+        [*command, *params], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+
+
 def test_a_recorded_run_is_made_again_byte_by_byte(tmp_path):
     command = [sys.executable, str(BAGS / 'make_bags.py'), '--out', str(tmp_path), 'drift']
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

@@ -235,6 +235,13 @@ def test_an_executable_starts_without_an_activated_environment_sourced_or_not(
     assert name in done.stdout
 
 
+@pytest.mark.parametrize('name', ['observer', 'watch', 'identify', 'motor_sim'])
+def test_an_executable_of_the_workspace_needs_no_path(name: str):
+    requires_built_workspace()
+    found = subprocess.check_output([RUN, 'bash', '-c', f'command -v {name}'], text=True)
+    assert Path(found.strip()).parent.parent.parent.parent == ROOT / 'ros_ws' / 'install'
+
+
 def test_running_without_a_build_says_what_to_do(tmp_path: Path):
     (tmp_path / 'ros_ws').mkdir()
     copy = shutil.copy(RUN, tmp_path / 'ros_ws')

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -599,3 +600,26 @@ def test_a_device_that_is_not_there_ends_it_with_one_line(
     code, out, err = identify(bag, '--params', parameters)
     assert (code, out) == (2, '')
     assert 'device is cuda, but torch sees no GPU' in one_line(err)
+
+
+@pytest.mark.parametrize(
+    ('option', 'work'),
+    [
+        pytest.param((), 'reading, training the predictor:', marks=pytest.mark.slow),
+        (('--skip-predictor',), 'reading:'),
+    ],
+)
+def test_who_watches_sees_a_bar_that_says_what_is_done(
+    identify: Run,
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    option: tuple[str, ...],
+    work: str,
+) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {training: {hidden: 4, context: 16, steps: 4}}}')
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    code, _, err = identify(bag, '--params', params, *option)
+    assert code == 0
+    assert f'\r{work}   0%' in err

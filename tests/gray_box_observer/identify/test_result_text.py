@@ -12,6 +12,7 @@ import pytest
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.identify.command import main
+from gray_box_observer.identify.next_steps import place_of_parameters
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.text_table import aligned
 
@@ -91,6 +92,37 @@ def test_what_can_be_done_about_each_verdict_is_said() -> None:
 def test_nothing_is_to_be_done_about_what_is_known_or_a_misfit() -> None:
     assert steps_of('identified') == steps_of('negligible') == []
     assert steps_of('unexcited', FitVerdict.MISFIT) == []
+
+
+PLACE = (
+    'Parameters such as m.stamps_exact go below ros__parameters in the file that --params names '
+    '(--ros-args --params-file for the node).'
+)
+
+
+def test_where_a_parameter_goes_that_is_named_is_said_once_at_the_end() -> None:
+    parameters = {
+        name: {**entry(value, 0.1, unit), 'verdict': 'unexcited'}
+        for name, value, unit in (('inductance', 1e-3, 'H'), ('resistance', 2.0, 'ohm'))
+    }
+    lines = text_of(parameters=parameters, derived={})
+    assert [line for line in lines if 'ros__parameters' in line] == lines[-1:] == [PLACE]
+    assert 'ros__parameters' not in '\n'.join(text_of())
+
+
+@pytest.mark.parametrize(
+    ('sentence', 'name'),
+    [
+        ('likely left out: rotor (wheel.speed_source: rotor, or publish it)', 'wheel.speed_source'),
+        ('set motor.initial.resistance, or not', 'motor.initial.resistance'),
+        ('if they are right, set gap_s to more than 1', 'gap_s'),
+        ("trial/log.csv: 1.04 times; see e.g. motor/torque's velocity, or delay. Believe it", ''),
+    ],
+)
+def test_a_parameter_is_told_from_a_number_and_a_topic(sentence: str, name: str) -> None:
+    place = place_of_parameters(['nothing', sentence])
+    assert (place is None) == (not name)
+    assert place is None or f'such as {name} go' in place
 
 
 def test_the_last_cell_of_a_row_widens_no_column() -> None:

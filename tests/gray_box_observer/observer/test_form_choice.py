@@ -57,7 +57,8 @@ def test_a_motor_of_the_thesis_keeps_its_form_bit_for_bit() -> None:
 
 
 @pytest.mark.parametrize(
-    ('excitation', 'why'), [('R[6,6]D[9,9]', 'nothing in the data'), ('R[3,9]D[1.5,1.5]', 'hardly')]
+    ('excitation', 'why'),
+    [('R[6,6]D[9,9]', 'a speed of Kt i is assumed'), ('R[3,9]D[1.5,1.5]', 'hardly')],
 )
 def test_what_the_voltage_cannot_tell_is_not_chosen(excitation: str, why: str) -> None:
     motor = observed(recorded(GEAR_MOTOR, excitation, 3.0, 4)).motors['motor']
@@ -208,7 +209,7 @@ def test_a_form_that_is_not_adopted_leaves_no_reason(in_trial: MotorObserver) ->
     choice, nodes = motor.form_choice, motor.context_nodes
     assert choice.finish(nodes, FitAssessment(FitVerdict.OK, 1.0, 1.0, ()), 0) is None
     assert choice.kind.source == 'torque_constant'
-    assert 'nothing in the data speaks against' in choice.state(0)[0]['reason']
+    assert 'a speed of Kt i is assumed' in choice.state(0)[0]['reason']
     assert choice.state(0)[0]['refusal'] == ''
 
 

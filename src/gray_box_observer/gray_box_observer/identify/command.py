@@ -255,7 +255,8 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
             listener(observer_result)
 
     limits = read_limits(options)
-    with _progress(_every_bag(options), limits) as update:
+    work = 'reading' if training is None else 'reading, training the predictor'
+    with _progress(_every_bag(options), limits, work) as update:
         outcome = offline_run.run(
             options.bags, configuration, training, listen if listeners else None, update, limits
         )
@@ -278,7 +279,7 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     if shows_text:
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
         with readers_may_leave(sys.stdout):
-            write_text(result, fits, sys.stdout)
+            write_text(result, fits, sys.stdout, warnings)
     if outcome.observer.incidents:
         return EXIT_STOPPED
     unmet = shortfalls(options.require, result, configuration.motors) if options.require else []
@@ -360,8 +361,16 @@ def _tell_summary(log: Path, bag: Path, summary: CsvSummary) -> None:
 
 
 @contextmanager
-def _progress(bags: Sequence[Path], limits: ReadLimits) -> Iterator[Callable[[int], object]]:
-    """Show a bar of the messages read, where somebody watches."""
+def _progress(
+    bags: Sequence[Path], limits: ReadLimits, work: str
+) -> Iterator[Callable[[int], object]]:
+    """Show a bar of the messages read, where somebody watches.
+
+    Args:
+        bags: whose messages are counted.
+        limits: what of a bag may be held in memory at one time.
+        work: what is done with them; the bar stands while the predictor is trained.
+    """
     if not sys.stderr.isatty():
         yield lambda count: None
         return
@@ -371,7 +380,7 @@ def _progress(bags: Sequence[Path], limits: ReadLimits) -> Iterator[Callable[[in
     for path in bags:
         with BagReader(path, limits) as bag:
             total += bag.message_count
-    with tqdm(total=total, unit=' messages', file=sys.stderr, leave=False) as bar:
+    with tqdm(total=total, desc=work, unit=' messages', file=sys.stderr, leave=False) as bar:
         yield bar.update
 
 

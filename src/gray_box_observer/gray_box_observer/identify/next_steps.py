@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test.policy import SHORTEST
 from gray_box_observer.observer.verdict_advice import ADVICE
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 
 REMEDIES = {
     Verdict.IMPLAUSIBLE: ADVICE[Verdict.IMPLAUSIBLE],
@@ -15,6 +17,30 @@ REMEDIES = {
     Verdict.CONVERGING: 'not known to 2 % yet: record for longer, or vary the voltage more',
 }
 """By verdict, what matters most first."""
+
+
+WORD = re.compile(r'[^\s(),;:]+')
+
+OBSERVER_NAMES = {spec.name for spec in OBSERVER_PARAMETERS if {'.', '_'} & set(spec.name)}
+"""Of its parameters, those whose names are no plain words."""
+
+MOTOR_NAMES = {spec.name for spec in MOTOR_PARAMETERS}
+
+
+def place_of_parameters(sentences: Iterable[str]) -> str | None:
+    """Say where the parameters go that sentences name; None where they name none."""
+    words = (word.rstrip('.') for sentence in sentences for word in WORD.findall(sentence))
+    name = next(filter(_is_parameter, words), None)
+    if name is None:
+        return None
+    return (
+        f'Parameters such as {name} go below ros__parameters in the file that --params names '
+        '(--ros-args --params-file for the node).'
+    )
+
+
+def _is_parameter(word: str) -> bool:
+    return word in OBSERVER_NAMES or word.partition('.')[2] in MOTOR_NAMES
 
 
 def next_steps(name: str, motor: Mapping[str, Any]) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.identify.next_steps import next_steps
+from gray_box_observer.identify.next_steps import next_steps, place_of_parameters
 from gray_box_observer.identify.text_table import aligned
 from gray_box_observer.safe_io.finite import words_of
 from gray_box_observer.safe_io.printable import printable
@@ -36,7 +36,10 @@ def fit_line(motor: str, fit: FitAssessment, *, has_colour: bool) -> str:
 
 
 def write_text(
-    result: Mapping[str, Any], fits: Mapping[str, FitAssessment], stream: TextIO
+    result: Mapping[str, Any],
+    fits: Mapping[str, FitAssessment],
+    stream: TextIO,
+    warnings: Sequence[str] = (),
 ) -> None:
     """Write a result for people.
 
@@ -44,8 +47,10 @@ def write_text(
         result: as :func:`~gray_box_observer.identify.result.describe` gives it.
         fits: residual analysis by motor.
         stream: coloured where it is a terminal.
+        warnings: what the user has been told before; the parameters that they name have a place.
     """
     has_colour = stream.isatty()
+    remedies = [*warnings, *(fit.sentence for fit in fits.values())]
     for name, fit in fits.items():
         print(fit_line(name, fit, has_colour=has_colour), file=stream)
     for name, motor in result['motors'].items():
@@ -57,8 +62,13 @@ def write_text(
             file=stream,
         )
         is_misfit = name in fits and fits[name].verdict is FitVerdict.MISFIT
-        for line in _lines(motor, [] if is_misfit else next_steps(name, motor)):
+        steps = [] if is_misfit else next_steps(name, motor)
+        remedies += steps
+        for line in _lines(motor, steps):
             print(f'  {printable(line)}', file=stream)
+    place = place_of_parameters(remedies)
+    if place is not None:
+        print(printable(place), file=stream)
 
 
 def parameter_cells(name: str, value: float | None, std: float | None, unit: str) -> list[str]:

@@ -151,7 +151,7 @@ def _form_choice(
         sources, reason = (THESIS,), f'a rotor is not tried: {obstacle}'
         if obstacle is None:
             sources = (THESIS, ROTOR)
-            reason = 'nothing in the data speaks against a speed of Kt i'
+            reason = 'a speed of Kt i is assumed, as in the thesis, until the data call for a rotor'
     return FormChoice(sources[0], reason, OpenForms(make, sources, effects), why_none)
 
 
