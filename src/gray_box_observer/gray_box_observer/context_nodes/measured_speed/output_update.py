@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
 from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_estimator import (
     AGAIN,
     FIRST_FIT,
@@ -25,7 +26,6 @@ from gray_box_observer.context_nodes.rotor.rotor_estimator import (
     RotorUpdate,
 )
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample

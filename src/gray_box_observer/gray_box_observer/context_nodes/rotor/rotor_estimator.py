@@ -36,10 +36,11 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window
 from gray_box_observer.context_nodes.update_rule import check_parameters
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.safe_io.saved_state import (
