@@ -13,8 +13,9 @@ from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor
 
 from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import LogPrior, fit_window
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window
 from gray_box_observer.white_box import MotorWhiteBox
 
 

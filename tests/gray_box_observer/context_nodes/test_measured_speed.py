@@ -23,9 +23,9 @@ from gray_box_observer.context_nodes.measured_speed.speed_start import speed_sta
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import LogPrior
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample

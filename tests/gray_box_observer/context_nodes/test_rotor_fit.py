@@ -7,10 +7,11 @@ import pytest
 from rotor_motors import BOX, INITIAL, THETA, content_of, recorded
 
 from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window
 
 VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(THETA.size) / 25.0)
 

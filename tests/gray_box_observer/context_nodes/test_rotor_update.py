@@ -10,7 +10,7 @@ from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, sampl
 
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 from gray_box_observer.context_nodes.pieces import completed
-from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
+from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample

@@ -170,7 +170,7 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
         one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data)
     )
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
-    one._deferred_results = [
+    one._session.deferred_results = [
         SimpleNamespace(
             group=SimpleNamespace(names=('motor',), observer=None), alarm=np.array([True])
         )
@@ -188,7 +188,7 @@ def test_a_device_that_fails_while_it_predicts_asks_for_the_end(node, monkeypatc
     one = node()
     one.trigger_configure()
     one.trigger_activate()
-    monkeypatch.setattr(one._observer, place, failed)
+    monkeypatch.setattr(one._session.observer, place, failed)
     for k in range(3):
         for topic in ('voltage', 'torque'):
             message = encode_joint_state(START_NS + k * 10_000_000, ['motor'], effort=[0.1])
@@ -212,8 +212,9 @@ def test_no_number_of_a_motor_that_has_stopped_stays_on_estimates_where_nobody_t
     assert one.count_publishers(estimates) == 1
     if state == 'inactive':
         one.trigger_deactivate()
-    one._observer.stop(one._observer.group_of('motor'), ArithmeticError('a defect'))
-    one._report_incidents()
+    session = one._session
+    session.observer.stop(session.observer.group_of('motor'), ArithmeticError('a defect'))
+    session.report_incidents()
     assert one.count_publishers(estimates) == 0
 
 
@@ -224,7 +225,7 @@ def test_a_device_that_fails_beside_the_messages_asks_for_the_end(node, monkeypa
     monkeypatch.setattr(one._outputs, 'alarms', failed)
     answer = one._save(Trigger.Request(), Trigger.Response())
     assert (answer.success, answer.message) == (False, str(FAILED))
-    one._tasks['diagnostics'].do()
+    one._tasks.by_name['diagnostics'].do()
     assert one._stop.error is FAILED
 
 
@@ -249,11 +250,11 @@ def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_t
         name: PeriodicTask(1e-9, partial(done.append, name))
         for name in ('diagnostics', 'estimates', 'checkpoint')
     }
-    one._tasks = dict(tasks)
+    one._tasks.by_name = dict(tasks)
     for _ in range(6):
         one._inputs._subscriptions['torque'].callback(data)
     assert sorted(done) == sorted(2 * list(tasks))
-    assert one._message_input.message_counts['torque'] == 6
+    assert one._session.message_input.message_counts['torque'] == 6
 
 
 def test_reset_publishes_at_once_what_is_known_then(rig, record):

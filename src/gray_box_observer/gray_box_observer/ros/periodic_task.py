@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
+
+from rclpy.timer import Timer
+
+from gray_box_observer.errors import ConfigurationError, GrayBoxError
 
 LATE = 1.5
 """Periods after which it is done beside a message, whenever the timer will come."""
@@ -67,3 +72,49 @@ class PeriodicTask:
             return False
         self.do()
         return True
+
+
+class PeriodicTasks:
+    """Tasks by name, one of which may be done beside a message.
+
+    Args:
+        start: makes a timer of a period and what it calls.
+        end: ends a timer.
+        stop: is told when a task is the first to find that a device has failed.
+    """
+
+    def __init__(
+        self,
+        start: Callable[[float, Callable[[], None]], Timer],
+        end: Callable[[Timer], object],
+        stop: Callable[[GrayBoxError], None],
+    ) -> None:
+        self._start = start
+        self._end = end
+        self._stop = stop
+        self._timers: dict[str, Timer] = {}
+        self.by_name: dict[str, PeriodicTask] = {}
+
+    def add(self, name: str, period_s: float, action: Callable[[], None]) -> None:
+        """Have something done every so often."""
+        task = self.by_name[name] = PeriodicTask(period_s, partial(self._do, action))
+        self._timers[name] = self._start(period_s, task.on_timer)
+
+    def remove(self, name: str) -> None:
+        """Have it done no more, if it was."""
+        if name in self._timers:
+            self._end(self._timers.pop(name))
+            del self.by_name[name]
+
+    def do_due(self, *, quiet: bool) -> None:
+        """Do one thing that is due, if any; the next one comes behind the other messages."""
+        for name, task in self.by_name.items():
+            if task.on_message(quiet=quiet):
+                self.by_name[name] = self.by_name.pop(name)
+                return
+
+    def _do(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except ConfigurationError as error:
+            self._stop(error)

@@ -6,9 +6,9 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
 from gray_box_observer.context_nodes.rotor.history_unknowns import LOADS
+from gray_box_observer.context_nodes.rotor.logarithms import Fit
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import Fit
 
 OPEN = 1e6
 """Standard deviation of first states that are as good as unknown, in A and rad/s."""

@@ -39,7 +39,7 @@ from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimat
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.context_nodes.rotor.rotor_estimator import WINDOW
+from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,

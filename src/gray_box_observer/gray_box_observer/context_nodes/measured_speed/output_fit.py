@@ -22,14 +22,10 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.rotor.history_unknowns import LAG, SpeedOutput
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import LEAST_NOISE as LEAST_CURRENT_NOISE
-from gray_box_observer.context_nodes.rotor.window_fit import (
-    Fit,
-    LogPrior,
-    fit_window,
-    search_from,
-)
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
+from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.declaration import State

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
     FitBefore,
     OutputFit,
@@ -16,59 +15,93 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
     fit_outputs_again,
 )
 from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
-from gray_box_observer.context_nodes.rotor.rotor_estimator import (
-    AGAIN,
-    FIRST_FIT,
-    WINDOW,
-    RotorUpdate,
-)
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
+from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
-from gray_box_observer.white_box.motor import MotorWhiteBox
 
 MOST_WORK = 3 * SAVED
 """Work of a search from anywhere: what explains a window is found with less. Of the motors that
 nothing explains it is given up, and more samples are waited for."""
 
 
-class OutputUpdate(RotorUpdate):
-    """Context nodes of one motor with a rotor, learnt from current and speed window by window.
-
-    Args:
-        white_box: the physics, with the inertia among its context nodes.
-        initial: shape (1, parameter): where to start, SI units.
-        rules: settings.
-        verdict_rules: when a parameter counts as identified.
-        initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
-            nothing is stated.
+class OutputLearner(WindowLearner):
+    """Context nodes of one motor with a rotor, learnt from windows of current and speed.
 
     Attributes:
         output_fit: of the newest window; None before the first fit, and where none was found.
+        walk: of the load.
+        unit_a_s: noise of the current over that of the speed; 0: not known.
     """
 
-    def __init__(
-        self,
-        white_box: MotorWhiteBox,
-        initial: Array,
-        rules: RecursiveSettings,
-        verdict_rules: VerdictSettings,
-        initial_relative_std: Array,
-    ) -> None:
-        super().__init__(
-            white_box, initial, rules, verdict_rules, initial_relative_std, speed_measured=True
+    speed_measured = True
+    output_fit: OutputFit | None = None
+    walk = 0.0
+    unit_a_s = 0.0
+    _newest_fit: OutputFit | None = None  # of the fit under way
+    _tried_walk = 0.0
+
+    def begin(self) -> None:
+        """Begin to look for what explains a window."""
+        self._newest_fit, self._tried_walk = None, self.walk
+
+    def end(self) -> None:
+        """Keep what was found."""
+        self.output_fit, self.walk = self._newest_fit, self._tried_walk
+        if self._newest_fit is not None:
+            self.unit_a_s = self._newest_fit.noise.unit_a_s
+
+    def window(self, samples: Array) -> Window:
+        """Cut samples, shape (signal, n), into signal histories with their speed."""
+        return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
+
+    def _fitted(
+        self, window: Window, prior: LogPrior, starts: Sequence[Array]
+    ) -> Pieces[Fit | None]:
+        search = fit_outputs(self._white_box, window, prior, starts, self._tried_walk)
+        return self._noted((yield from bounded(search, MOST_WORK)))
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals)
+        return self._noted(
+            (yield from fit_outputs_again(self._white_box, window, self._prior(), before))
         )
-        self.output_fit: OutputFit | None = None
-        self._walk = 0.0  # of the load
-        self._unit_a_s = 0.0  # noise of the current over that of the speed; 0: not known
-        self._newest_fit: OutputFit | None = None  # of the fit under way
-        self._tried_walk = 0.0
-        self._speed = np.zeros(1)
+
+    def _noted(self, fit: OutputFit | None) -> Fit | None:
+        self._newest_fit = fit
+        if fit is None:
+            return None
+        self._tried_walk = fit.walk
+        return fit.fit
+
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
+        return window.moves == 0
+
+    def _is_poor(self, fit: Fit) -> bool:
+        return self._newest_fit is None or not self._newest_fit.explains
+
+    def _is_hopeless(self, fit: Fit) -> bool:
+        return self._is_poor(fit)
+
+
+class OutputUpdate(RotorUpdate):
+    """Context nodes of one motor with a rotor, learnt from current and speed window by window."""
+
+    _learner_type = OutputLearner
+    _learner: OutputLearner
+    _speed: Array = np.zeros(1)
+
+    @property
+    def output_fit(self) -> OutputFit | None:
+        """Fit of the newest window; None before the first one, and where none was found."""
+        return self._learner.output_fit
 
     def remember(self, sample: Sample) -> None:
         """Take one sample; without its speed the speed before holds on."""
@@ -87,79 +120,43 @@ class OutputUpdate(RotorUpdate):
         """
         self._stamp_ns = stamp_ns
         self.replay.refill(content)
-        self._place = content.shape[2]
+        self._schedule.place = content.shape[2]
         self._speed = content[SPEED, :, -1].copy()
 
     @property
     def unfitted(self) -> Array:
         """Return the samples since the last full window, at most one, shape (signal, n)."""
-        count = int(min(self._place - self._mark, self.replay.remembered()[0], WINDOW))
+        new_count = self._schedule.place - self._schedule.mark
+        count = int(min(new_count, self.replay.remembered()[0], WINDOW))
         return self.replay.newest(count)[:, 0]
 
     def postpone(self) -> None:
         """Put the fit that is due off until half as many more samples have come."""
-        count = self._place - self._mark
-        self._due = self._place + int(np.clip(count // 2, FIRST_FIT, AGAIN))
-        if count >= WINDOW:
-            self._mark = self._place - WINDOW // 2
-
-    def _window(self, samples: Array) -> Window:
-        return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
-
-    def _fitted(
-        self, window: Window, prior: LogPrior, starts: Sequence[Array]
-    ) -> Pieces[Fit | None]:
-        search = fit_outputs(self._white_box, window, prior, starts, self._tried_walk)
-        return self._noted((yield from bounded(search, MOST_WORK)))
-
-    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
-        before = FitBefore(self.theta[0], self._walk, self._unit_a_s, self._has_rivals)
-        return self._noted(
-            (yield from fit_outputs_again(self._white_box, window, self._prior(), before))
-        )
-
-    def _noted(self, fit: OutputFit | None) -> Fit | None:
-        self._newest_fit = fit
-        if fit is None:
-            return None
-        self._tried_walk = fit.walk
-        return fit.fit
+        self._schedule.postpone()
 
     def _fit(self, place: int, samples: Array) -> Pieces[bool]:
-        self._newest_fit, self._tried_walk = None, self._walk
+        self._learner.begin()
         has_changed = yield from super()._fit(place, samples)
-        self.output_fit, self._walk = self._newest_fit, self._tried_walk
-        if self._newest_fit is not None:
-            self._unit_a_s = self._newest_fit.noise.unit_a_s
+        self._learner.end()
         return has_changed
-
-    def _is_ambiguous(self, window: Window) -> bool:
-        """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
-        return window.moves == 0
-
-    def _is_poor(self, fit: Fit) -> bool:
-        return self._newest_fit is None or not self._newest_fit.explains
-
-    def _is_hopeless(self, fit: Fit) -> bool:
-        return self._is_poor(fit)
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = super().state(motor)
         return plain, arrays | {
-            'walk': np.array([self._walk]),
-            'unit': np.array([self._unit_a_s]),
+            'walk': np.array([self._learner.walk]),
+            'unit': np.array([self._learner.unit_a_s]),
         }
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
         check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
-        self._walk = float(arrays['walk'][0])
-        self._unit_a_s = 0.0
+        self._learner.walk = float(arrays['walk'][0])
+        self._learner.unit_a_s = 0.0
         if 'unit' in arrays:  # not in files of releases that did not remember it
             check_arrays(arrays, {'unit': ArrayRule((1,), 0.0)})
-            self._unit_a_s = float(arrays['unit'][0])
+            self._learner.unit_a_s = float(arrays['unit'][0])
         super().restore(plain, arrays, motor)
-        self.output_fit = None
+        self._learner.output_fit = None
         if self.replay.stored(0):
             self._speed = self.replay.newest(1)[SPEED, :, 0].copy()

@@ -1,1 +1,1 @@
-"""Learns a motor whose speed is a hidden state. Read `rotor_estimator.py`, then `window_fit.py`."""
+"""Learns a motor whose speed is hidden. Read `rotor_estimator.py`, then `window_learner.py`."""

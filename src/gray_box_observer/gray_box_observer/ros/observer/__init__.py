@@ -1,1 +1,1 @@
-"""The observer as a node: topics in, topics out, diagnostics. Read `observer_node.py` first."""
+"""The observer as a node: topics in, topics out. Read `observer_node.py`, then `session.py`."""

@@ -129,7 +129,7 @@ class Commentary:
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
         line = (
-            f'{used_count} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, '
+            f'{used_count} samples of {motors_in_words(self._motors)} in {after_s:.1f} s, '
             f'{rejected_count or "none"} rejected'
         )
         estimates = [
@@ -152,7 +152,7 @@ class Commentary:
         new = self._seen_motors - self._found_motors
         motors = [motor for motor in self._motors if motor in new]
         self._found_motors |= new
-        return [f'found {_motors_in_words(motors)}: samples come'] if motors else []
+        return [f'found {motors_in_words(motors)}: samples come'] if motors else []
 
     def _choices(self, observer: Observer) -> list[str]:
         """Motors that are observed by another form than before, and why."""
@@ -192,7 +192,7 @@ class Commentary:
         )
         if len(changes) > MOST_DESCRIBED:
             identified_count = sum(estimate.identified(0) for _, estimate, _ in changes)
-            motors = _motors_in_words([name for name, _, _ in changes])
+            motors = motors_in_words([name for name, _, _ in changes])
             count = f'every parameter identified of {identified_count} of these'
             return [f'verdicts changed of {motors}: {count}'], doubtful
         return [
@@ -246,10 +246,10 @@ def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[st
 
 def _of_motors(motors: tuple[str, ...]) -> str:
     """Whose signal it is; nothing of one that is not told motor by motor."""
-    return '' if motors == ('',) else f' of {_motors_in_words(motors)}'
+    return '' if motors == ('',) else f' of {motors_in_words(motors)}'
 
 
-def _motors_in_words(names: Sequence[str]) -> str:
+def motors_in_words(names: Sequence[str]) -> str:
     """Name motors, as far as a line bears it."""
     more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
     return ', '.join(names[:MOST_NAMED]) + more

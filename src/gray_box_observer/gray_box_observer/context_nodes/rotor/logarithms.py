@@ -1,0 +1,66 @@
+"""What is known of the parameters' logarithms: believed before a window, and told by a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
+from gray_box_observer.context_nodes.rotor.window import FreeRuns
+from gray_box_observer.white_box.interface import Array
+
+
+@dataclass(frozen=True, slots=True)
+class LogPrior:
+    """What is believed of the logarithms of the parameters: Gaussian.
+
+    Attributes:
+        mean: shape (parameter,).
+        precision: shape (parameter, parameter).
+    """
+
+    mean: Array
+    precision: Array
+
+    def joined(self, other: LogPrior) -> LogPrior:
+        """Return what both together say."""
+        precision = self.precision + other.precision
+        right = self.precision @ self.mean + other.precision @ other.mean
+        return LogPrior(shortest_solution(precision, right), precision)
+
+    def chi_square(self, mean: Array) -> float:
+        """How far a value is off."""
+        off = mean - self.mean
+        return float(off @ self.precision @ off)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where a search has ended.
+
+    Attributes:
+        logarithms: shape (parameter,).
+        information: shape (parameter, parameter): of the samples alone, without the prior.
+        spread: shape (parameter, parameter): covariance that rival optima add.
+        noise_a: standard deviation of the noise.
+        least_noise_a: smallest one that is believed.
+        chi_square: of the samples and the prior together.
+        starts: shape (history, unknown): first states, and what else is free in a history.
+        runs: the free runs there.
+    """
+
+    logarithms: Array
+    information: Array
+    spread: Array
+    noise_a: float
+    least_noise_a: float
+    chi_square: float
+    starts: Array
+    runs: FreeRuns
+
+    @property
+    def theta(self) -> Array:
+        """Shape (parameter,)."""
+        result: Array = np.exp(self.logarithms)
+        return result

@@ -1,0 +1,112 @@
+"""Normal equations of a window: of the parameters, the first states of every history eliminated.
+
+What is known of these beforehand, and how much a sample counts that lies far off, stands here too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER, shortest_solution
+from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.white_box.interface import Array
+
+
+def robust_weights(residual: Array, scale: float, *, leaves_out: bool) -> Array:
+    """Return how much every sample counts: less, or nothing, beyond the limit of an outlier."""
+    limit, size = OUTLIER * scale, np.abs(residual)
+    if leaves_out:
+        near: Array = (size < limit).astype(float)
+        return near
+    weights: Array = limit / np.maximum(size, limit)
+    return weights
+
+
+def robust_cost(residual: Array, scale: float, *, leaves_out: bool) -> float:
+    """Sum of squares; what lies beyond the limit counts less, or as one at the limit."""
+    limit, size = OUTLIER * scale, np.abs(residual)
+    within = np.minimum(size, limit)
+    beyond = 0.0 if leaves_out else 2.0 * limit * (size - within)
+    return float((within**2 + beyond).sum()) / scale**2
+
+
+def start_mean(window: Window, starts: Array) -> Array:
+    """Return what is expected of the unknowns of every history, shape (history, unknown)."""
+    mean = np.zeros_like(starts)
+    mean[:, 0] = [history.current_a[0] for history in window.histories]
+    return mean
+
+
+def start_precision(window: Window, start_std: Array) -> Array:
+    """Return what is known of the unknowns of every history, shape (history, unknown, unknown)."""
+    output = window.speed_output
+    if output is None:
+        return np.stack([np.diag(start_std**-2.0) for _ in window.histories])
+    return np.stack([output.precision(start_std, one.interval_s) for one in window.histories])
+
+
+@dataclass(frozen=True, slots=True)
+class Equations:
+    """Normal equations of the parameters, the first states eliminated.
+
+    Attributes:
+        information: shape (parameter, parameter).
+        right: shape (parameter,).
+        gain: shape (history, unknown, parameter): how the unknowns of the histories, their first
+            states before all, answer the parameters.
+        level: shape (history, unknown): how they move by themselves.
+    """
+
+    information: Array
+    right: Array
+    gain: Array
+    level: Array
+
+    @classmethod
+    def from_runs(
+        cls, runs: FreeRuns, weights: Array, start_precision: Array, start_pull: Array
+    ) -> Equations:
+        """Build them.
+
+        Args:
+            runs: free runs at the values in question.
+            weights: shape (sample,): inverse variances.
+            start_precision: shape (history, unknown, unknown): what is known of the unknowns of
+                every history beforehand.
+            start_pull: shape (history, unknown): what is expected less what they are.
+        """
+        by_parameter = runs.by_parameter
+        weighted_rows = by_parameter * weights[:, None]
+        information = weighted_rows.T @ by_parameter
+        right = weighted_rows.T @ runs.residual_a
+        count, parameters = len(runs.by_start), by_parameter.shape[1]
+        unknowns = start_pull.shape[1]
+        gain, level = np.zeros((count, unknowns, parameters)), np.zeros((count, unknowns))
+        begin = 0
+        for row, by_start in enumerate(runs.by_start):
+            own = slice(begin, begin + by_start.shape[0])
+            begin = own.stop
+            weighted_slopes = (by_start * weights[own, None]).T
+            inner = weighted_slopes @ by_start + start_precision[row]
+            across = weighted_slopes @ by_parameter[own]
+            pull = weighted_slopes @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
+            gain[row] = shortest_solution(inner, across)
+            level[row] = shortest_solution(inner, pull)
+            information = information - across.T @ gain[row]
+            right = right - across.T @ level[row]
+        return cls(information, right, gain, level)
+
+    def start_steps(self, step: Array, own: float = 1.0) -> Array:
+        """Return how the unknowns of the histories move with a step of the parameters.
+
+        Args:
+            step: shape (parameter,).
+            own: share of what they would move by.
+
+        Returns:
+            Shape (history, unknown).
+        """
+        result: Array = own * (self.level - self.gain @ step)
+        return result

@@ -1,0 +1,281 @@
+"""What windows of samples tell of a motor with a rotor: each joins what those before it have told.
+
+What a window has told is kept as a Gaussian of the parameters' logarithms and joined with what the
+next one tells: windows share no sample, so that nothing is counted twice. Where a window
+contradicts what was known, the motor has changed, and that is forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
+from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays, check_covariance
+from gray_box_observer.white_box.interface import Array, bounds
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+VAGUE = 5.0
+"""Standard deviation of the logarithm of a parameter of which nothing is stated."""
+
+MEMORY = 0.98
+"""Share of what is known that a full window leaves: a motor is never quite the same."""
+
+SHARP = 0.3
+"""Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
+
+FEWEST_MOVES = 3
+"""Moves of the voltage from which a motor is told: of a step or two a search may end at another
+motor that fits as well."""
+
+SEARCHED = 1024
+"""Newest samples that a start is looked for in."""
+
+POOR = 1.5
+"""Noise of a fit, over that of second differences, from which another start is looked for."""
+
+HOPELESS = 4.5
+"""The same from which the motor is called a misfit, and more samples are not asked."""
+
+
+class WindowLearner:
+    """Context nodes of one motor with a rotor, and what is known of them.
+
+    Args:
+        white_box: the physics, with the inertia among its context nodes.
+        initial: shape (1, parameter): where to start, SI units.
+        initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
+            nothing is stated. None: of none of them.
+        drift_threshold: chi-square from which a window contradicts what was known.
+
+    Attributes:
+        logarithms: shape (parameter,): where the motor stands.
+        covariance: shape (parameter, parameter): of these.
+        share, reach: shape (parameter,): voltage shares, and their 3-sigma bound.
+        noise_a: standard deviation of the current's noise; 0 before the first fit.
+        memory: what full windows have told; None before the first one.
+        is_settled: whether the motor is explained.
+        has_rivals: whether other ends explain the samples as well.
+        is_new_motor: whether the newest window is another motor's than the one before.
+        counts: of what was met, by a name for diagnostics.
+        speed_measured: whether windows hold a speed that is fitted too.
+    """
+
+    speed_measured = False
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        initial_relative_std: Array | None,
+        drift_threshold: float,
+    ) -> None:
+        if not white_box.has_rotor or initial.shape[0] != 1:
+            raise ConfigurationError('the rotor rule is for one motor whose inertia is unknown')
+        self._white_box = white_box
+        self._drift_threshold = drift_threshold
+        self._lower, self._upper = bounds(white_box.parameters)
+        theta = np.clip(np.asarray(initial, dtype=float)[0], self._lower, self._upper)
+        nothing = np.zeros_like(theta)
+        stated_std = nothing if initial_relative_std is None else initial_relative_std[0]
+        self._is_stated = stated_std > 0.0
+        std = np.where(self._is_stated, stated_std, VAGUE)
+        self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
+        self.memory: LogPrior | None = None
+        self.logarithms = np.log(theta)
+        self.covariance = np.diag(std**2)
+        self.share = np.zeros_like(theta)
+        self.reach = np.zeros_like(theta)
+        self.noise_a = 0.0
+        self.is_settled = False
+        self.has_rivals = True
+        self.is_new_motor = False
+        self.counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (parameter,)."""
+        result: Array = np.exp(self.logarithms).clip(self._lower, self._upper)
+        return result
+
+    def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
+        """Fit a window; tell whether a fit was found. Before that nothing changes.
+
+        Args:
+            window: the samples.
+            is_full: whether what it tells is kept where the motor is explained.
+        """
+        self.is_new_motor = False
+        fit = (yield from self._solvable(window)) if window.spread_a > 0.0 else None
+        if fit is None:
+            self.counts['windows without fit'] += 1
+            return False
+        self.counts['fits'] += 1
+        information = fit.information
+        if self.memory is not None:
+            information = information + self.memory.precision
+        shares = shares_of_scale(self._white_box, fit.theta, window)
+        weak_precision = np.minimum(VAGUE**-2.0, shares**2)
+        self.logarithms = fit.logarithms
+        prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
+        self.covariance = _inverse(information + np.diag(prior)) + fit.spread
+        self.share = voltage_shares(self._white_box, fit.theta, window, fit.runs)
+        excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
+        self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
+        if self._is_ambiguous(window):
+            self.covariance += SHARP**2 * np.eye(prior.size)
+            self.share, self.reach = np.zeros_like(prior), np.zeros_like(prior)
+        self.noise_a = fit.noise_a
+        self.has_rivals = bool(fit.spread.any())
+        if self.is_settled and is_full:
+            self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
+        return True
+
+    def window(self, samples: Array) -> Window:
+        """Cut samples, shape (signal, n), into signal histories."""
+        return Window.from_samples(self._white_box, samples)
+
+    def _fitted(
+        self, window: Window, prior: LogPrior, starts: Sequence[Array]
+    ) -> Pieces[Fit | None]:
+        """Search from some starts for what explains a window."""
+        return fit_window(self._white_box, window, prior, starts)
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        """Search from where the motor stands, and elsewhere where that was not the only end."""
+        box, starts = self._white_box, [self.theta]
+        return fit_window(box, window, self._prior(), starts, tries_others=self.has_rivals)
+
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether other motors than the one found might explain the samples.
+
+        The voltage has hardly moved, or no rotor shows, so that its back-EMF may hide in any
+        resistance.
+        """
+        if self.memory is None and window.moves < FEWEST_MOVES:
+            return True
+        place = self._white_box.context_nodes.index('inertia')
+        return bool(self.covariance[place, place] > SHARP**2)
+
+    def _remember(self, covariance: Array) -> None:
+        """Keep what is known of those parameters that the samples have told of."""
+        sharp = np.flatnonzero(np.diagonal(covariance) < SHARP**2)
+        precision = np.zeros_like(covariance)
+        precision[np.ix_(sharp, sharp)] = MEMORY * _inverse(covariance[np.ix_(sharp, sharp)])
+        self.memory = LogPrior(self.logarithms, precision)
+
+    def _solvable(self, window: Window) -> Pieces[Fit | None]:
+        """Fit a window; None too where samples are so absurd that nothing can be solved."""
+        try:
+            return (yield from self._searched(window))
+        except np.linalg.LinAlgError:
+            return None
+
+    def _searched(self, window: Window) -> Pieces[Fit | None]:
+        """Fit a window from where the motor stands, or from anywhere where that does not fit."""
+        fit = None
+        if self.is_settled:
+            fit = yield from self._fitted_again(window)
+            if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
+                return fit
+        other = yield from self._searched_anywhere(window)
+        if self.is_settled and self.memory is not None and other is not None:
+            self.counts['motor changes'] += 1
+            self.memory, self.is_new_motor = None, True
+        self.is_settled = other is not None and not self._is_poor(other)
+        return other
+
+    def _searched_anywhere(self, window: Window) -> Pieces[Fit | None]:
+        """Fit without regard to what was known, from every start there is."""
+        newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
+        starts = [self.theta, *weak_starts(self._white_box, newest)]
+        fit = yield from self._fitted(newest, self._data_sheet, starts)
+        if fit is None or newest is window or self._is_hopeless(fit):
+            return fit
+        return (yield from self._fitted(window, self._data_sheet, [fit.theta]))
+
+    def _is_poor(self, fit: Fit) -> bool:
+        """Tell whether the residual is larger than the noise."""
+        return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
+
+    def _is_hopeless(self, fit: Fit) -> bool:
+        """Tell whether the newest samples alone are so badly explained that more are no help."""
+        return fit.noise_a > HOPELESS * max(
+            difference_noise(fit.runs.residual_a), fit.least_noise_a
+        )
+
+    def _contradicts(self, fit: Fit) -> bool:
+        """Tell whether a window says other than what was known before it."""
+        if self.memory is None:
+            return False
+        apart = fit.logarithms - self.memory.mean
+        gradient = self.memory.precision @ apart
+        chi_square = float(
+            apart @ gradient + gradient @ np.linalg.lstsq(fit.information, gradient, rcond=1e-12)[0]
+        )
+        return not chi_square < self._drift_threshold
+
+    def _prior(self) -> LogPrior:
+        return self._data_sheet if self.memory is None else self._data_sheet.joined(self.memory)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return what a checkpoint holds of it, beside flags."""
+        memory = self.memory or self._data_sheet
+        return {
+            'logarithms': self.logarithms.copy(),
+            'covariance': self.covariance.copy(),
+            'noise': np.array([self.noise_a]),
+            'memory_mean': memory.mean.copy(),
+            'memory_precision': memory.precision.copy(),
+            'share': self.share.copy(),
+            'reach': self.reach.copy(),
+        }
+
+    def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back arrays that :meth:`check` lets pass, and flags."""
+        self.is_settled = plain['settled']
+        self.logarithms, self.covariance = arrays['logarithms'], arrays['covariance']
+        self.noise_a = float(arrays['noise'][0])
+        self.share, self.reach = arrays['share'], arrays['reach']
+        self.memory = None
+        if plain['remembers']:
+            self.memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
+        self.has_rivals = plain.get('rivals', True)
+
+    def check(self, arrays: Mapping[str, Array]) -> None:
+        """Refuse arrays that could not have been learnt.
+
+        Raises:
+            CheckpointError: one is missing, or none of this rule.
+        """
+        n = self.logarithms.size
+        rules = {
+            'logarithms': ArrayRule((n,), -100.0, 100.0),
+            'covariance': ArrayRule((n, n)),
+            'noise': ArrayRule((1,), 0.0),
+            'memory_mean': ArrayRule((n,), -100.0, 100.0),
+            'memory_precision': ArrayRule((n, n)),
+            'share': ArrayRule((n,), 0.0),
+            'reach': ArrayRule((n,), 0.0, endless=True),
+        }
+        check_arrays(arrays, rules)
+        check_covariance('covariance', arrays['covariance'])
+        check_covariance('memory_precision', arrays['memory_precision'])
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix in its own units, symmetric again."""
+    unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    correlations = matrix / unit[:, None] / unit
+    result = np.linalg.pinv(0.5 * (correlations + correlations.T), rcond=1e-13, hermitian=True)
+    return np.asarray(result / unit[:, None] / unit, dtype=float)

@@ -1,0 +1,320 @@
+"""Gauss-Newton on the free run of one motor's current, in the logarithms of its context nodes.
+
+The first states of every signal history are free: they are eliminated, so that the equations that
+are left are those of the parameters. White noise on the current is what is assumed; outliers are
+left out, though only where the search has ended: until then the samples behind a step of the
+voltage look like outliers, and tell most. Damped after Levenberg (1944), robust after Huber (1964).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.recursive.normal_equations import (
+    MAD_TO_STD,
+    bounded_solution,
+    logarithmic_curvature,
+)
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.window import (
+    FreeRuns,
+    Window,
+    free_runs,
+    guessed_starts,
+)
+from gray_box_observer.context_nodes.rotor.window_equations import (
+    Equations,
+    robust_cost,
+    robust_weights,
+    start_mean,
+    start_precision,
+)
+from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.white_box.interface import Array, bounds
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+MOST_STEPS = 20
+"""Damped steps at most."""
+
+MOST_ATTEMPTS = 8
+"""Steps tried from one place, each shorter than the one before."""
+
+FREE_ATTEMPTS = 3
+"""Of these the first in which first states move, too.
+
+Of a rotor that friction holds, the first speed has no derivative and would leap.
+"""
+
+MOST_IDLE = 2
+"""Steps in a row that gain nothing and end a search."""
+
+NEAR = 0.5
+"""Standard deviations from where another search has ended within which a search ends there too."""
+
+LONGEST_STEP = 1.0
+"""Largest change of a logarithm in a step."""
+
+LOOSE = 0.1
+"""Information of a logarithm below which a step that it makes too long is cut for it alone: a
+factor of e then moves chi-square by less than that."""
+
+LEAST_NOISE = 3e-4
+"""Smallest noise that is believed, as a share of the current's spread: what softened friction and
+finite steps leave."""
+
+LEAST_START_GAIN = 1.0
+"""Of chi-square, from which first states are moved by themselves before all else is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """How near a search goes to where it would end.
+
+    Attributes:
+        distance: in standard deviations, an unknown.
+        gain: of chi-square in a step, which is none any more.
+    """
+
+    distance: float
+    gain: float
+
+
+ROUGHLY, NEARLY = Accuracy(0.3, 0.3), Accuracy(3e-3, 1e-2)
+"""Of a search while outliers pull, which another one follows, and of the last one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchEnd:
+    """Where a search has ended.
+
+    Attributes:
+        fit: there.
+        search: which.
+        robust: shape (parameter,): logarithms where it stood while outliers still pulled.
+    """
+
+    fit: Fit
+    search: Search
+    robust: Array
+
+
+class Search:
+    """Damped Gauss-Newton from one start.
+
+    Attributes:
+        logarithms: shape (parameter,): where it stands.
+        scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
+        promised_gain: of chi-square by the last step that was tried, if all were straight.
+        beyond: shape (parameter,): where that leads.
+    """
+
+    def __init__(
+        self, white_box: MotorWhiteBox, window: Window, prior: LogPrior, logarithms: Array
+    ) -> None:
+        self.white_box = white_box
+        self.window = window
+        self.prior = prior
+        lower, upper = bounds(white_box.parameters)
+        self._lower, self._upper = np.log(lower), np.log(upper)
+        self._floor_a = max(
+            LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
+        )
+        self.logarithms = np.clip(logarithms, self._lower, self._upper)
+        self.promised_gain, self.beyond = 0.0, self.logarithms
+        self._leaves_out = False
+        fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
+        slowest = 1e-9 * (1.0 + fastest)
+        self._start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
+        self._start_precision = start_precision(window, self._start_std)
+        self._currents = window.currents
+        self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
+        self._runs: FreeRuns | None = None
+        self.scale_a = np.inf
+
+    def settle(self) -> Pieces[None]:
+        """Run where the search begins, and move the first states alone to where they fit best."""
+        self._runs = yield from self._run(self.logarithms, self.starts)
+        if self._runs is not None:
+            yield from self._settle_starts()
+            self.scale_a = self._scale(self._at.residual_a)
+
+    @property
+    def runs(self) -> FreeRuns | None:
+        """The free runs where it stands; None where they cannot be run."""
+        return self._runs
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the motor can be run where the search stands."""
+        return self._runs is not None
+
+    @property
+    def _at(self) -> FreeRuns:
+        assert self._runs is not None
+        return self._runs
+
+    def _run(self, logarithms: Array, starts: Array) -> Pieces[FreeRuns | None]:
+        with np.errstate(all='ignore'):
+            runs = free_runs(self.white_box, np.exp(logarithms), self.window, starts)
+            slopes = (runs.by_logarithm, *(path.slopes[-1] for path in runs.runs))
+            is_usable = runs.is_bounded and all(np.isfinite(slope).all() for slope in slopes)
+        yield runs.work
+        return runs if is_usable else None
+
+    def _scale(self, residual: Array) -> float:
+        """Noise of the current by its residuals, in whose unit those of the speed are."""
+        currents = np.abs(residual[self._currents])
+        return max(MAD_TO_STD * float(median(currents)), self._floor_a)
+
+    def _settle_starts(self) -> Pieces[None]:
+        """Move the first states alone to where they fit best."""
+        for _ in range(2):
+            scale = self._scale(self._at.residual_a)
+            equations = self._equations(self._weights(scale), scale)
+            steps = equations.start_steps(np.zeros(self.logarithms.size))
+            pairs = zip(self._at.by_start, steps, strict=True)
+            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in pairs) / scale**2
+            if gain < LEAST_START_GAIN:
+                return
+            starts = self.starts + steps
+            runs = yield from self._run(self.logarithms, starts)
+            if runs is None or self._scale(runs.residual_a) > scale:
+                return
+            self.starts, self._runs = starts, runs
+
+    def _weights(self, scale: float) -> Array:
+        return robust_weights(self._at.residual_a, scale, leaves_out=self._leaves_out)
+
+    def _total(self, residual: Array, scale: float, logarithms: Array, starts: Array) -> float:
+        off = starts - start_mean(self.window, starts)
+        if self.window.speed_output is None:
+            pull = float(((off / self._start_std) ** 2).sum())
+        else:
+            pull = float(np.einsum('hu,huv,hv->', off, self._start_precision, off))
+        cost = robust_cost(residual, scale, leaves_out=self._leaves_out)
+        return cost + self.prior.chi_square(logarithms) + pull
+
+    def _equations(self, weights: Array, scale: float) -> Equations:
+        return Equations.from_runs(
+            self._at,
+            weights / scale**2,
+            self._start_precision,
+            start_mean(self.window, self.starts) - self.starts,
+        )
+
+    def run(self, ends: Sequence[SearchEnd] = ()) -> Pieces[SearchEnd | None]:
+        """Step until nothing moves, then leave out what does not fit and step again.
+
+        Args:
+            ends: of other searches; one that comes near such an end is given up.
+
+        Returns:
+            The end; None where it is one of these, or nothing can be said of it.
+        """
+        self._leaves_out = False
+        if (yield from self.descend(ROUGHLY, [(end.robust, end.fit) for end in ends])):
+            return None
+        robust, self._leaves_out = self.logarithms, True
+        if (yield from self.descend(NEARLY, [(end.fit.logarithms, end.fit) for end in ends])):
+            return None
+        fit = self.result()
+        return None if fit is None else SearchEnd(fit, self, robust)
+
+    def descend(self, accuracy: Accuracy, ends: Sequence[tuple[Array, Fit]] = ()) -> Pieces[bool]:
+        """Step until nothing moves; tell whether that is where another search has ended."""
+        damping, idle = 1e-3, 0
+        for _ in range(MOST_STEPS):
+            self.scale_a = scale = self._scale(self._at.residual_a)
+            equations = self._equations(self._weights(scale), scale)
+            if any(self._is_near(there, end, equations) for there, end in ends):
+                return True
+            towards_prior = self.prior.precision @ (self.prior.mean - self.logarithms)
+            curvature = np.diag(logarithmic_curvature(towards_prior, equations.right))
+            precision = equations.information + self.prior.precision + curvature
+            right = equations.right + towards_prior
+            step = np.linalg.lstsq(precision, right, rcond=1e-12)[0]
+            self.promised_gain = left = float(right @ step)
+            self.beyond = self.logarithms + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+            if left < accuracy.distance**2 * right.size:
+                return False
+            before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
+            damping, has_moved = yield from self._stepped(
+                equations, precision, right, before, damping, accuracy.gain
+            )
+            if not has_moved:
+                return False
+            after = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
+            idle = idle + 1 if before - after < accuracy.gain else 0
+            if idle == MOST_IDLE:
+                return False
+        return False
+
+    def _is_near(self, there: Array, end: Fit, equations: Equations) -> bool:
+        """Tell whether the search stands where another one has, within their deviations."""
+        apart = self.logarithms - there
+        precision = equations.information + end.information + self.prior.precision
+        return bool(apart @ precision @ apart < NEAR**2)
+
+    def _stepped(
+        self,
+        equations: Equations,
+        precision: Array,
+        right: Array,
+        total: float,
+        damping: float,
+        least_gain: float,
+    ) -> Pieces[tuple[float, bool]]:
+        """Take the first damped step that leads down; return the damping left, and whether any."""
+        size = np.maximum(np.diagonal(precision), 1e-12)
+        most = np.where(np.diagonal(equations.information) < LOOSE, LONGEST_STEP, np.inf)
+        for attempt in range(MOST_ATTEMPTS):
+            own = 0.1**attempt if attempt < FREE_ATTEMPTS else 0.0
+            step = bounded_solution(
+                (precision + damping * np.diag(size))[None], right[None], -most, most
+            )[0]
+            step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+            logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
+            step = logarithms - self.logarithms
+            if attempt and 2.0 * step @ right - step @ precision @ step < least_gain:
+                break
+            starts = self.starts + equations.start_steps(step, own)
+            runs = yield from self._run(logarithms, starts)
+            if runs is not None:
+                after = self._total(runs.residual_a, self.scale_a, logarithms, starts)
+                if after <= total + 1e-9 * abs(total):
+                    self.logarithms, self.starts, self._runs = logarithms, starts, runs
+                    easier = 0.1 if attempt == 0 else 1.0
+                    return max(easier * damping, 1e-9), True
+            damping = max(10.0 * damping, 1e-6)
+        return damping, False
+
+    def result(self) -> Fit | None:
+        """Return where the search has ended; None where nothing can be said of it."""
+        residual = self._at.residual_a
+        scale = self._scale(residual)
+        weights = self._weights(scale)
+        unknowns = self.logarithms.size + self.starts.size
+        weighted_squares = (weights * residual**2)[self._currents]
+        freedom = max(float(weights[self._currents].sum()) - unknowns, 1.0)
+        noise = float(np.sqrt(weighted_squares.sum() / freedom))
+        noise = max(min(noise, 2.0 * scale), self._floor_a)
+        equations = self._equations(weights, noise)
+        information = 0.5 * (equations.information + equations.information.T)
+        if not np.isfinite(information).all():
+            return None
+        chi_square = self._total(residual, noise, self.logarithms, self.starts)
+        nothing = np.zeros_like(information)
+        return Fit(
+            self.logarithms,
+            information,
+            nothing,
+            noise,
+            self._floor_a,
+            chi_square,
+            self.starts,
+            self._at,
+        )
