@@ -483,3 +483,10 @@ def test_times_of_even_rows_that_are_rounded_are_warned_of(tmp_path):
     (warning,) = summary.warnings
     assert 'the time is rounded to 1 ms, though rows seem to come every 3.333' in warning
     assert 'write sample_period_s=0.003333' in warning
+
+
+def test_rows_left_out_of_a_log_without_a_time_are_no_rounding(tmp_path):
+    rows = ''.join(f'{k % 7},0.5,{int(not 60 <= k < 100)}\n' for k in range(200))
+    options = ('sample_period_s=0.001', 'voltage=u_V', 'torque=i_A', 'where=ok==1')
+    summary, _, _ = convert(tmp_path, 'u_V,i_A,ok\n' + rows, *options)
+    assert summary.warnings == ()

@@ -281,10 +281,22 @@ def test_a_motor_whose_test_was_put_off_is_tested_at_the_same_sample_after_a_res
 
 def test_stamps_rounded_to_coarse_steps_are_named_before_what_they_look_like() -> None:
     voltage_v = steps(2000, 1)
-    record = Record(voltage_v, current_of(voltage_v) + noise(2000, 0.003, 2))
+    record = Record(voltage_v, current_of(voltage_v) + noise(2000, 0.001, 2))
     exact = record.observed().motors['motor'].fit
-    rounded = record.observed(stamp_step_s=7e-4).motors['motor'].fit
+    rounded = record.observed(stamp_step_s=4e-4).motors['motor'].fit
     assert exact.verdict is FitVerdict.OK
     assert rounded.verdict is not FitVerdict.OK
     assert rounded.suspects[0].effect == 'coarse_stamps'
-    assert 'more finely than to 0.7 ms' in rounded.suspects[0].remedy
+    assert 'more finely than to 0.4 ms' in rounded.suspects[0].remedy
+
+
+def test_what_counts_as_identified_follows_the_settings_there_and_back() -> None:
+    observer = _healthy().observed()
+    lenient = observer.configuration
+    assert observer.motors['motor'].identified
+    observer.reconfigure(lenient.with_values({'verdict.identified_relative_std': 1e-6}))
+    assert not observer.motors['motor'].identified
+    assert not any(observer.parameters_identified('motor'))
+    observer.reconfigure(lenient)
+    assert observer.motors['motor'].identified
+    assert all(observer.parameters_identified('motor'))

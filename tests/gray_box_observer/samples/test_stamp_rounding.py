@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def rounded_intervals(rate_hz: float, step_s: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ('rate_hz', 'step_s'), [(300.0, 1e-3), (900.0, 1e-3), (60.0, 1e-3), (30.0, 0.01), (7e3, 1e-5)]
+    ('rate_hz', 'step_s'), [(300.0, 1e-3), (400.0, 1e-3), (60.0, 1e-3), (30.0, 0.01), (7e3, 1e-5)]
 )
 def test_step_and_period_of_rounded_stamps_are_found(rate_hz: float, step_s: float) -> None:
     grid = stamp_rounding(rounded_intervals(rate_hz, step_s))
@@ -33,9 +35,36 @@ def test_steps_that_are_fine_beside_the_interval_do_not_matter() -> None:
     assert stamp_rounding(rounded_intervals(30.0, 5e-4)) is None
 
 
-def test_lost_samples_are_no_rounding() -> None:
-    lost = np.random.default_rng(1).random(SAMPLES) < 0.1
-    assert stamp_rounding(np.diff(np.flatnonzero(~lost) * 1e-3)) is None
+@pytest.mark.parametrize(
+    'kept',
+    [
+        np.random.default_rng(1).random(SAMPLES) > 0.1,
+        np.arange(SAMPLES) != 500,
+        np.arange(SAMPLES) % 4 != 3,
+        (np.arange(SAMPLES) < 300) | (np.arange(SAMPLES) > 800),
+        (np.arange(SAMPLES) < 1) | (np.arange(SAMPLES) > 900),
+    ],
+    ids=['at random', 'one', 'every fourth', 'a pause', 'an early row'],
+)
+def test_lost_samples_are_no_rounding(kept: np.ndarray) -> None:
+    assert stamp_rounding(np.diff(np.flatnonzero(kept) * 1e-3)) is None
+
+
+def test_a_long_interval_now_and_then_is_no_rounding() -> None:
+    interval_s = np.full(SAMPLES, 1e-3)
+    interval_s[[100, 600]] *= 1.05
+    assert stamp_rounding(interval_s) is None
+
+
+def test_whole_steps_that_lost_samples_would_leave_too_are_not_told() -> None:
+    assert stamp_rounding(rounded_intervals(900.0, 1e-3)) is None
+
+
+@pytest.mark.parametrize('absurd', [math.nan, math.inf, 0.0])
+def test_of_absurd_intervals_nothing_is_told(absurd: float) -> None:
+    interval_s = rounded_intervals(300.0, 1e-3)
+    interval_s[10] = absurd
+    assert stamp_rounding(interval_s) is None
 
 
 def test_stamps_that_jitter_are_no_rounding() -> None:

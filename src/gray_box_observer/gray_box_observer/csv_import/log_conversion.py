@@ -158,7 +158,8 @@ def csv_to_bag(
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
     interval_s = float(np.median(np.diff(time_s[kept_rows]))) if kept_rows.size > 1 else math.nan
     doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
-    doubts += rounding_doubt(np.diff(time_s[kept_rows]))
+    if expressions.time is not None:
+        doubts += rounding_doubt(np.diff(time_s))
     for motor in motors:
         for signal, values in motor.signals():
             rows_told = kept_rows[1:] if expressions.has_rates else kept_rows

@@ -12,7 +12,7 @@ MILD = 1.5
 """Residual over noise floor up to which it is small."""
 
 CONTRADICTIONS = {
-    'coarse_stamps': 'The stamps are rounded to coarse steps',
+    'coarse_stamps': 'The stamps seem to be rounded to coarse steps',
     'units_of_time': 'The stamps seem to be in another unit than s',
     'units_of_voltage': 'The voltage seems to be in another unit than V',
     'units_of_current': 'Current or torque seems to be in another unit than stated',

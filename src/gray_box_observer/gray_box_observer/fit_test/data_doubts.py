@@ -91,7 +91,7 @@ steps of it."""
 NOISELESS = 1e-4
 """Noise, as a share of the current's spread, of a simulation without any."""
 
-LEAST_ROUNDED = 0.3
+LEAST_ROUNDED = 0.7
 """Share of the residual that rounding the stamps makes, from which it is named first."""
 
 FEWEST_CLIPPED = 30
@@ -185,14 +185,14 @@ def doubts_of_stamps(
         One suspect, or none.
     """
     begins = np.flatnonzero(interval_s <= 0.0)
-    newest = slice(int(begins[-1]) + 1 if begins.size else 1, None)
-    grid = stamp_rounding(interval_s[newest])
+    begin = int(begins[-1]) if begins.size else 0
+    grid = stamp_rounding(interval_s[begin + 1 :])
     if grid is None:
         return []
-    slope_a_s = float(np.sqrt(np.mean(np.diff(current_a) ** 2))) / grid.period_s
+    power = float(np.mean(np.diff(current_a[begin:]) ** 2)) - 2.0 * analysis.floor_a**2
+    slope_a_s = math.sqrt(max(power, 0.0)) / grid.period_s
     error_a = slope_a_s * grid.step_s * STEP_TO_STD
-    residual_a = analysis.ratio * analysis.floor_a
-    if error_a < LEAST_ROUNDED * residual_a:
+    if not error_a >= LEAST_ROUNDED * analysis.ratio * analysis.floor_a:
         return []
     gain = analysis.samples * math.log(max(analysis.ratio, 1.0))
     text = (

@@ -266,8 +266,8 @@ class WindowTest:
             if judgement.verdict is not FitVerdict.OK:
                 samples = motor.newest(count)[:, 0]
                 current_a = np.asarray(self.white_box.state(samples[TORQUE]), dtype=float)
-                of_stamps = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
-                suspects = suspects + of_stamps + self._suspects(analysis, candidates)
+                stamp_suspects = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
+                suspects = suspects + stamp_suspects + self._suspects(analysis, candidates)
             if judgement.verdict is FitVerdict.MISFIT and not finding.suspects:
                 suspects = self._offsets(motor, analysis) + suspects
         delay = finding.delay_suspect

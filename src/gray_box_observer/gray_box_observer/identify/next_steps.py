@@ -29,7 +29,7 @@ MOTOR_NAMES = {spec.name for spec in MOTOR_PARAMETERS}
 
 def place_of_parameters(sentences: Iterable[str]) -> str | None:
     """Say where the parameters go that sentences name; None where they name none."""
-    words = (word.rstrip('.') for sentence in sentences for word in WORD.findall(sentence))
+    words = (word.strip('\'".') for sentence in sentences for word in WORD.findall(sentence))
     name = next(filter(_is_parameter, words), None)
     if name is None:
         return None
@@ -40,7 +40,7 @@ def place_of_parameters(sentences: Iterable[str]) -> str | None:
 
 
 def _is_parameter(word: str) -> bool:
-    return word in OBSERVER_NAMES or word.partition('.')[2] in MOTOR_NAMES
+    return word in OBSERVER_NAMES or ('/' not in word and word.partition('.')[2] in MOTOR_NAMES)
 
 
 def next_steps(name: str, motor: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
     FitBefore,
     OutputFit,
@@ -15,6 +16,7 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
     fit_outputs_again,
 )
 from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
@@ -25,6 +27,7 @@ from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 MOST_WORK = 3 * SAVED
 """Work of a search from anywhere: what explains a window is found with less. Of the motors that
@@ -41,11 +44,19 @@ class OutputLearner(WindowLearner):
     """
 
     speed_measured = True
-    output_fit: OutputFit | None = None
-    walk = 0.0
-    unit_a_s = 0.0
-    _newest_fit: OutputFit | None = None  # of the fit under way
-    _tried_walk = 0.0
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        initial_relative_std: Array | None,
+        drift_threshold: float,
+    ) -> None:
+        super().__init__(white_box, initial, initial_relative_std, drift_threshold)
+        self.output_fit: OutputFit | None = None
+        self.walk = self.unit_a_s = 0.0
+        self._newest_fit: OutputFit | None = None  # of the fit under way
+        self._tried_walk = 0.0
 
     def begin(self) -> None:
         """Begin to look for what explains a window."""
@@ -96,7 +107,17 @@ class OutputUpdate(RotorUpdate):
 
     _learner_type = OutputLearner
     _learner: OutputLearner
-    _speed: Array = np.zeros(1)
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        rules: RecursiveSettings | None = None,
+        verdict_rules: VerdictSettings | None = None,
+        initial_relative_std: Array | None = None,
+    ) -> None:
+        super().__init__(white_box, initial, rules, verdict_rules, initial_relative_std)
+        self._speed = np.zeros(1)
 
     @property
     def output_fit(self) -> OutputFit | None:

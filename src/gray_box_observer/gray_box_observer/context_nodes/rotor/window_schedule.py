@@ -1,7 +1,7 @@
 """When a window of samples is fitted, where it begins, and how many samples it has.
 
-The first fit comes as soon as there are a few samples, the next ones with half as many more each,
-and from a full window on one window follows another.
+The first fit comes as soon as there are a few samples, the next ones with half as many more each.
+From a full window on, one window follows another.
 """
 
 from __future__ import annotations

@@ -241,13 +241,13 @@ class Outputs:
         """Let the topics of a motor follow its parameters: those of a rotor come and go."""
         if estimate.parameters is self._followed_parameters.get(motor):
             return
-        self._followed_parameters[motor] = estimate.parameters
         names = tuple(parameter.name for parameter in estimate.parameters)
         if self._parameters[motor].follow(
             names, is_active=self._identified_topics[motor].is_active
         ):
             self._covariances.pop(motor, None)
             self._published_identified.pop(motor, None)
+        self._followed_parameters[motor] = estimate.parameters
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
         """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
