@@ -250,7 +250,7 @@ class WindowTest:
     def _conclude(self, motor: MotorUnderTest, count: int, finding: _Finding) -> FitResult:
         """Name what is likely left out, and say what the test leaves."""
         analysis, judgement, before = finding.analysis, finding.judgement, motor.before
-        suspects = finding.suspects
+        samples, suspects = motor.newest(count)[:, 0], finding.suspects
         if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
             candidates = (
                 {}  # its balance has a speed that nobody measures
@@ -264,7 +264,6 @@ class WindowTest:
             if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             if judgement.verdict is not FitVerdict.OK:
-                samples = motor.newest(count)[:, 0]
                 current_a = np.asarray(self.white_box.state(samples[TORQUE]), dtype=float)
                 stamp_suspects = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
                 suspects = suspects + stamp_suspects + self._suspects(analysis, candidates)
@@ -273,9 +272,9 @@ class WindowTest:
         delay = finding.delay_suspect
         if delay is not None:
             suspects = with_delay(suspects, delay)
-        range_v = float(np.ptp(motor.newest(count)[VOLTAGE, 0]))
+        range_v = float(np.ptp(samples[VOLTAGE]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
-        is_ok = judgement.verdict is FitVerdict.OK and not is_held(motor.newest(count)[VOLTAGE, 0])
+        is_ok = judgement.verdict is FitVerdict.OK and not is_held(samples[VOLTAGE])
         if before is not None and not is_misfit and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
             return replace(before, place=motor.place, begin=motor.begin, wait=wait)

@@ -79,15 +79,18 @@ class WindowSchedule:
         if count < WINDOW:
             more = min(more, WINDOW - count)
         self.due = place + (self.wait if in_vain else more)
-        if place - self.mark >= WINDOW:  # nothing fits: go on with newer samples
-            self.mark = place - WINDOW // 2
+        self._go_on(place)
 
     def postpone(self) -> None:
         """Put the fit that is due off until half as many more samples have come."""
         count = self.place - self.mark
         self.due = self.place + min(max(count // 2, FIRST_FIT), AGAIN)
-        if count >= WINDOW:
-            self.mark = self.place - WINDOW // 2
+        self._go_on(self.place)
+
+    def _go_on(self, place: int) -> None:
+        """Go on with newer samples where a full window has told nothing."""
+        if place - self.mark >= WINDOW:
+            self.mark = place - WINDOW // 2
 
     def state(self) -> dict[str, int]:
         """Return what a checkpoint holds of it, as seen from the newest sample."""
