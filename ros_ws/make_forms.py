@@ -289,6 +289,11 @@ def c_forms() -> str:
     lines += [
         *braces(['Linear linear;', *_runge_kutta_step(), 'return linear;']),
         '',
+        '/* flow.py, _exponential_step. */',
+        'INLINE Linear exponential_step(',
+        '    const Terms of, const Real *start, const Linear *here, Real length)',
+        *braces(['Linear linear;', *_exponential_step(), 'return linear;']),
+        '',
         '/* flow.py, joined. */',
     ]
     lines += ['INLINE Linear joined(const Terms of, const Linear *first, const Linear *then)']
@@ -304,6 +309,22 @@ def _case(name: str, effect: Expression) -> list[str]:
         text = slope if slope == total else f'speed_measured ? {slope} : {total}'
         lines += [f'    t.slope[{state.name}] = {text};'] if text != 'all(0.0)' else []
     return [*lines, '    break;']
+
+
+class _Functions:
+    """Of numpy's functions those that a rate and an exponential step need."""
+
+    stack = list
+
+    @staticmethod
+    def minimum(value: Written, other: float) -> Written:
+        """Return the smaller one."""
+        return Written('smaller({0}, {1})', (value, Written(f'all({other!r})')))
+
+    @staticmethod
+    def exp(value: Written) -> Written:
+        """Return the exponential."""
+        return Written('exponential({0})', (value,))
 
 
 def _signals() -> list[str]:
@@ -342,6 +363,17 @@ def _runge_kutta_step() -> list[str]:
     return _stored(flow.runge_kutta_step(rate_at, start, _linear('here->'), interval), ['j'])
 
 
+def _exponential_step() -> list[str]:
+    start: Any = [Written(f'start[{state.name}]') for state in COMPILED]
+    interval = flow.Interval(*(Written(name) for name in ('0.0', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
+    step = flow._exponential_step(_Functions, _no_rate, start, _linear('here->'), interval)
+    return _stored(step, ['j'])
+
+
+def _no_rate(states: Sequence[Any], speed: Any) -> flow.Linear:
+    raise NotImplementedError  # an exponential step asks for none but that at its start
+
+
 def _joined() -> list[str]:
     return _stored(flow.joined(_linear('first->'), _linear('then->')), ['j'])
 
@@ -378,22 +410,6 @@ def _stored(
 
 EVERY_TERM = Loop('for (int j = 0; j < COORDINATES; j++)')
 """Loop over the coordinates of a motor that has every term."""
-
-
-class _Functions:
-    """Of numpy's functions those that a rate and an exponential step need."""
-
-    stack = list
-
-    @staticmethod
-    def minimum(value: Written, other: float) -> Written:
-        """Return the smaller one."""
-        return Written('smaller({0}, {1})', (value, written(other)))
-
-    @staticmethod
-    def exp(value: Written) -> Written:
-        """Return the exponential."""
-        return Written('exp({0})', (value,))
 
 
 class _WholeMotor:
@@ -470,6 +486,8 @@ def whole_motor_form() -> str:
     }
     lines = [f'enum {{ {", ".join([*(state.name for state in State), "STATES"])} }};']
     lines += wrapped(f'enum {{ {", ".join([*(name.upper() for name in TERMS), "COORDINATES"])} }};')
+    balances = ', '.join(term.state.name for term in TERMS.values())
+    lines += wrapped(f'static const int BALANCE_OF[COORDINATES] = {{{balances}}};')
     lines += ['']
     lines += ['typedef struct {']
     lines += [

@@ -43,7 +43,7 @@ class Written:
         self.declared = declared
 
     def __add__(self, other: Any) -> Written:
-        return _computed('+', self, other)
+        return self if _is_zero(other) else _computed('+', self, other)
 
     def __radd__(self, other: Any) -> Written:
         return _computed('+', other, self)
@@ -51,6 +51,10 @@ class Written:
     def __sub__(self, other: Any) -> Written:
         """Deduct; what there is one of for every term is deducted for every term."""
         other = written(other)
+        if _is_zero(other):
+            return self
+        if _is_zero(self) and not other.every:
+            return -other
         return (
             Written('-=', (self, other))
             if other.every and not self.every
@@ -58,10 +62,10 @@ class Written:
         )
 
     def __mul__(self, other: Any) -> Written:
-        return _computed('*', self, other)
+        return _product(self, written(other))
 
     def __rmul__(self, other: Any) -> Written:
-        return Written('all(0.0)') if other == 0.0 else _computed('*', other, self)
+        return _product(written(other), self)
 
     def __truediv__(self, other: Any) -> Written:
         """Divide; by a number: multiply by its inverse, which vectors do much faster."""
@@ -93,6 +97,19 @@ def sign(x: Written) -> Written:
 def written(value: Any) -> Written:
     """Return an expression as it is, and a number as one."""
     return value if isinstance(value, Written) else Written(repr(float(value)))
+
+
+def _is_zero(value: Any) -> bool:
+    return written(value).text in ('0.0', 'all(0.0)')
+
+
+def _product(left: Written, right: Written) -> Written:
+    """Multiply; by nothing and by one, nothing is left to compute."""
+    if _is_zero(left) or _is_zero(right):
+        return Written('all(0.0)')
+    if right.text == '1.0':
+        return left
+    return right if left.text == '1.0' else _computed('*', left, right)
 
 
 def _computed(operator: str, *operands: Any) -> Written:

@@ -10,7 +10,7 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes.native import whole_motor
-from gray_box_observer.context_nodes.rotor import rotor_trajectory
+from gray_box_observer.context_nodes.rotor import held_rotor, rotor_trajectory
 from gray_box_observer.context_nodes.rotor.coordinates import WholeMotor, coordinates, slopes
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
     Run,
@@ -115,6 +115,51 @@ def test_derivatives_of_straight_motions_are_finite_differences(place: int, comp
     assert ends(0.0).steps == 2 * volts.size
     scale = np.abs(by_difference).max(axis=0)
     assert (np.abs(slope - by_difference) <= 1e-5 * scale).all()
+
+
+HELD_THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 0.2])
+"""Dry friction that up to 10 A do not overcome; a voltage of 12 V drives 6 A."""
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+@pytest.mark.parametrize('interval_s', [1e-3, 1e-2])
+def test_a_rotor_that_friction_holds_is_followed_in_one_step(
+    interval_s: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    volts, p = steps(20, hold=4), coordinates(BOX, HELD_THETA)
+
+    def follow(voltage_v: np.ndarray, length_s: float, **options: bool) -> Run:
+        lengths = np.full(voltage_v.size, length_s)
+        return run(KT, p, np.zeros(2), voltage_v, lengths, LIMITS, **options)
+
+    held = follow(volts, interval_s, is_compiled=compiled)
+    assert held.steps == rotor_trajectory.HELD_COST * volts.size
+    monkeypatch.setattr(rotor_trajectory, 'LARGEST_STEP', 0.05)
+    finely = follow(np.repeat(volts, 200), interval_s / 200.0)  # too short to come to rest in
+    assert finely.steps >= 200 * volts.size
+    exact = finely.states[::200]
+    current_error, speed_error = np.abs(held.states - exact).max(axis=0)
+    assert current_error < held_rotor.FOLLOWING * np.abs(exact[:, 0]).max()
+    assert speed_error < 1e-3
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+@pytest.mark.parametrize('place', [0, 1, 3, 6, 7, 8, 9])
+def test_derivatives_with_the_rotor_held_are_finite_differences(place: int, compiled: bool) -> None:
+    volts, interval = np.linspace(6.0, 9.0, 8), np.full(8, 1e-3)
+    p, start = coordinates(BOX, HELD_THETA), np.array([1.0, 0.0])
+
+    def ends(bump: float) -> Run:
+        moved = p.copy()
+        moved[place] += bump
+        return run(KT, moved, start, volts, interval, LIMITS, is_compiled=compiled)
+
+    bump = 1e-4 * max(abs(p[place]), 1.0)
+    by_difference = (ends(bump).states - ends(-bump).states) / (2.0 * bump)
+    slope = ends(0.0).slopes[:, :, 2 + place]
+    assert ends(0.0).steps == rotor_trajectory.HELD_COST * volts.size
+    scale = np.abs(by_difference).max(axis=0)
+    assert (np.abs(slope - by_difference) <= 0.03 * scale).all()
 
 
 def test_a_rate_that_is_not_straight_is_not_taken_for_one() -> None:

@@ -20,10 +20,11 @@ INLINE Linear chosen_motion(const Terms of, Mask which, const Linear *yes, const
     return moved;
 }
 
-/* Equal steps, as many as each lane asks for; at most `most` of any lane: flow.py, _in_steps. */
+/* Equal steps, as many as each lane asks for; at most `most` of any lane; exponential ones where it
+ * is stiff: flow.py, _in_steps. */
 INLINE Linear in_steps(
     const Physics *box, const Terms of, const Real *start, const Interval *over, Real steps,
-    int most)
+    int most, int is_stiff)
 {
     const Real slope = (over->end_speed - over->speed) / steps, length = over->length / steps;
     Linear whole = {{{0}}, {{{0}}}, {{{0}}}};
@@ -38,8 +39,9 @@ INLINE Linear in_steps(
         const Real to = chosen(last, over->end_speed, over->speed + (double)(step + 1) * slope);
         const Interval piece = {over->voltage, from, to, length};
         const Linear here = rate_of(box, of, whole.value, over->voltage, from);
-        const Linear part = runge_kutta_step(box, of, whole.value, &here, &piece),
-            both = joined(of, &whole, &part);
+        const Linear part = is_stiff ? exponential_step(of, whole.value, &here, length)
+                                     : runge_kutta_step(box, of, whole.value, &here, &piece);
+        const Linear both = joined(of, &whole, &part);
         whole = chosen_motion(of, on, &both, &whole);
     }
     return whole;

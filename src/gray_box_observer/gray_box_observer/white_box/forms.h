@@ -5,7 +5,7 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 561174751884948725
+#define FORMS_FINGERPRINT 53942886190769285
 
 enum { CURRENT, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -132,6 +132,23 @@ INLINE Linear runge_kutta_step(
         const Real t7 = r3.by_state[CURRENT][CURRENT] * (t2 * t6) + r3.by_coordinate[CURRENT][j];
         linear.by_coordinate[CURRENT][j] = t1 * (here->by_coordinate[CURRENT][j] + 2.0 * (t6 + t7) +
             (r4.by_state[CURRENT][CURRENT] * (over->length * t7) + r4.by_coordinate[CURRENT][j]));
+    }
+    return linear;
+}
+
+/* flow.py, _exponential_step. */
+INLINE Linear exponential_step(
+    const Terms of, const Real *start, const Linear *here, Real length)
+{
+    Linear linear;
+    const Real t1 = (exponential(smaller(here->by_state[CURRENT][CURRENT], all(-1e-12)) * length) -
+        1.0) / smaller(here->by_state[CURRENT][CURRENT], all(-1e-12));
+    linear.value[CURRENT] = start[CURRENT] + t1 * here->value[CURRENT];
+    linear.by_state[CURRENT][CURRENT] = exponential(smaller(here->by_state[CURRENT][CURRENT],
+        all(-1e-12)) * length);
+    UNROLL for (int j = 0; j < of.coordinates; j++)
+    {
+        linear.by_coordinate[CURRENT][j] = t1 * here->by_coordinate[CURRENT][j];
     }
     return linear;
 }

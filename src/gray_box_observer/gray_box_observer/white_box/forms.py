@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 561174751884948725
+FINGERPRINT = 53942886190769285
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 229935439749103845
+WHOLE_MOTOR_FINGERPRINT = 793126313808395132
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {

@@ -56,4 +56,11 @@ INLINE Real square_root(Real x)
     return found;
 }
 
+INLINE Real exponential(Real x)
+{
+    Real found;
+    for (int l = 0; l < LANES; l++) found[l] = exp(x[l]);
+    return found;
+}
+
 #endif

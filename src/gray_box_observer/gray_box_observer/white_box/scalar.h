@@ -8,10 +8,11 @@
 typedef double Real;
 
 #define INLINE static inline __attribute__((always_inline))
-#define UNROLL
+#define UNROLL _Pragma("GCC unroll 16")
 
 INLINE Real all(double x) { return x; }
 INLINE Real absolute(Real x) { return fabs(x); }
+INLINE Real exponential(Real x) { return exp(x); }
 INLINE Real sign(Real x) { return (double)((x > 0.0) - (x < 0.0)); }
 INLINE Real smaller(Real a, Real b) { return b < a ? b : a; }
 INLINE Real larger(Real a, Real b) { return b > a ? b : a; }

@@ -5,11 +5,13 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 229935439749103845
+#define WHOLE_MOTOR_FINGERPRINT 793126313808395132
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
     VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
+static const int BALANCE_OF[COORDINATES] = {CURRENT, CURRENT, CURRENT, CURRENT, CURRENT, CURRENT,
+    SPEED, SPEED, SPEED, SPEED};
 
 typedef struct {
     Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];
@@ -24,15 +26,14 @@ INLINE Linear rate_of(
     const Real t2 = state[CURRENT] * (0.01 + absolute(state[CURRENT])) / (0.01 *
         absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT]);
     linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
-        - p[4] * t2 - p[5] * 1.0;
+        - p[4] * t2 - p[5];
     const Real t3 = 0.01 * absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT];
-    linear.by_state[CURRENT][CURRENT] = p[0] * all(0.0) - p[1] * 1.0 - p[2] * absolute(state[SPEED])
-        - p[3] * 0.0 - p[4] * (-(0.01 * 0.01 * state[CURRENT] * sign(state[CURRENT]) - 0.01 * 0.01 *
-        absolute(state[CURRENT]) - 0.01 * 0.0001 - 0.01 * (state[CURRENT] * state[CURRENT]) + 0.01 *
-        state[CURRENT] * absolute(state[CURRENT]) * sign(state[CURRENT]) - 2.0 * 0.0001 *
-        absolute(state[CURRENT])) / (t3 * t3)) - p[5] * 0.0;
-    linear.by_state[CURRENT][SPEED] = p[0] * all(0.0) - p[1] * 0.0 - p[2] * (state[CURRENT] *
-        sign(state[SPEED])) - p[3] * 1.0 - p[4] * 0.0 - p[5] * 0.0;
+    linear.by_state[CURRENT][CURRENT] = -(p[1]) - p[2] * absolute(state[SPEED]) - p[4] * (-(0.01 *
+        0.01 * state[CURRENT] * sign(state[CURRENT]) - 0.01 * 0.01 * absolute(state[CURRENT]) - 0.01
+        * 0.0001 - 0.01 * (state[CURRENT] * state[CURRENT]) + 0.01 * state[CURRENT] *
+        absolute(state[CURRENT]) * sign(state[CURRENT]) - 2.0 * 0.0001 * absolute(state[CURRENT])) /
+        (t3 * t3));
+    linear.by_state[CURRENT][SPEED] = -(p[2] * (state[CURRENT] * sign(state[SPEED]))) - p[3];
     linear.by_coordinate[CURRENT][0] = voltage;
     linear.by_coordinate[CURRENT][1] = -(state[CURRENT]);
     linear.by_coordinate[CURRENT][2] = -(t1);
@@ -46,13 +47,13 @@ INLINE Linear rate_of(
     const Real t4 = torque_constant * state[CURRENT];
     const Real t5 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
         0.03 * absolute(state[SPEED]) + 0.0009);
-    linear.value[SPEED] = p[6] * t4 - p[7] * state[SPEED] - p[8] * t5 - p[9] * 1.0;
-    linear.by_state[SPEED][CURRENT] = p[6] * torque_constant - p[7] * 0.0 - p[8] * 0.0 - p[9] * 0.0;
+    linear.value[SPEED] = p[6] * t4 - p[7] * state[SPEED] - p[8] * t5 - p[9];
+    linear.by_state[SPEED][CURRENT] = p[6] * torque_constant;
     const Real t6 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
-    linear.by_state[SPEED][SPEED] = p[6] * 0.0 - p[7] * 1.0 - p[8] * ((state[SPEED] * state[SPEED] *
-        0.03 - state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
+    linear.by_state[SPEED][SPEED] = -(p[7]) - p[8] * ((state[SPEED] * state[SPEED] * 0.03 -
+        state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
         absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
-        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6)) - p[9] * 0.0;
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6));
     linear.by_coordinate[SPEED][0] = all(0.0);
     linear.by_coordinate[SPEED][1] = all(0.0);
     linear.by_coordinate[SPEED][2] = all(0.0);
@@ -143,17 +144,18 @@ INLINE Linear exponential_step(
     const Real *start, const Linear *here, Real length)
 {
     Linear linear;
-    const Real t1 = (exp(smaller(here->by_state[CURRENT][CURRENT], -1e-12) * length) - 1.0) /
-        smaller(here->by_state[CURRENT][CURRENT], -1e-12);
+    const Real t1 = (exponential(smaller(here->by_state[CURRENT][CURRENT], all(-1e-12)) * length) -
+        1.0) / smaller(here->by_state[CURRENT][CURRENT], all(-1e-12));
     linear.value[CURRENT] = start[CURRENT] + t1 * here->value[CURRENT];
-    linear.by_state[CURRENT][CURRENT] = exp(smaller(here->by_state[CURRENT][CURRENT], -1e-12) *
-        length);
+    linear.by_state[CURRENT][CURRENT] = exponential(smaller(here->by_state[CURRENT][CURRENT],
+        all(-1e-12)) * length);
     linear.by_state[CURRENT][SPEED] = t1 * here->by_state[CURRENT][SPEED];
-    const Real t2 = (exp(smaller(here->by_state[SPEED][SPEED], -1e-12) * length) - 1.0) /
-        smaller(here->by_state[SPEED][SPEED], -1e-12);
+    const Real t2 = (exponential(smaller(here->by_state[SPEED][SPEED], all(-1e-12)) * length) - 1.0)
+        / smaller(here->by_state[SPEED][SPEED], all(-1e-12));
     linear.value[SPEED] = start[SPEED] + t2 * here->value[SPEED];
     linear.by_state[SPEED][CURRENT] = t2 * here->by_state[SPEED][CURRENT];
-    linear.by_state[SPEED][SPEED] = exp(smaller(here->by_state[SPEED][SPEED], -1e-12) * length);
+    linear.by_state[SPEED][SPEED] = exponential(smaller(here->by_state[SPEED][SPEED], all(-1e-12)) *
+        length);
     UNROLL for (int j = 0; j < COORDINATES; j++)
     {
         linear.by_coordinate[CURRENT][j] = t1 * here->by_coordinate[CURRENT][j];

@@ -1,7 +1,7 @@
 /* The motion over many intervals of a motor, LANES at a time, and linear recurrences along them.
  *
  * Batch fits and the search for a delay move every interval of a window from a start of its own:
- * white_box/flow.py. Intervals whose decay is too fast for Runge-Kutta steps are left to numpy.
+ * white_box/flow.py. Intervals whose decay is no number are left to numpy.
  */
 #include <string.h>
 
@@ -19,7 +19,7 @@ typedef struct {
     const double *start, *voltage, *speed, *end_speed, *length; /* (motor, interval) */
     double *value, *by_state; /* (motor, interval) */
     double *by_coordinate; /* (coordinate, motor, interval) */
-    uint8_t *stiff; /* (motor,): whether the motor was left out */
+    uint8_t *left_out; /* (motor,): whether it was */
 } Motions;
 
 /* LANES entries from one on; the last entry fills up. */
@@ -53,7 +53,8 @@ INLINE Interval intervals_from(const Motions *m, int64_t first, int64_t from)
     };
 }
 
-/* Steps that every interval of a motor is gone through in, as in flow.py; 0 where it is stiff. */
+/* Steps that every interval of a motor is gone through in, as in flow.py: more than the most where
+ * it is stiff, 0 where its decay is no number. */
 INLINE int steps_of(const Motions *m, const Physics *box, const Terms of, int64_t first)
 {
     Real stiffness = all(0.0);
@@ -68,7 +69,8 @@ INLINE int steps_of(const Motions *m, const Physics *box, const Terms of, int64_
         stiffness = larger(stiffness, stiff);
     }
     for (int l = 0; l < LANES; l++) most = stiffness[l] > most ? stiffness[l] : most;
-    if (anywhere(~finite) || most > m->most_steps * m->largest_step) return 0;
+    if (anywhere(~finite)) return 0;
+    if (most > m->most_steps * m->largest_step) return (int)m->most_steps + 1;
     return most > m->largest_step ? (int)ceil(most / m->largest_step) : 1;
 }
 
@@ -80,7 +82,8 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
     for (int i = 0; i < of.coordinates; i++) box.p[i] = all(m->p[motor * of.coordinates + i]);
     for (int i = 0; i < of.known; i++) box.constant[i] = all(m->known[i * m->motors + motor]);
     const int steps = steps_of(m, &box, of, first);
-    m->stiff[motor] = steps == 0;
+    const int is_stiff = steps > m->most_steps, parts = is_stiff ? (int)m->most_steps : steps;
+    m->left_out[motor] = steps == 0;
     if (steps == 0) return;
     for (int64_t j = 0; j < m->intervals; j += LANES) {
         const Interval over = intervals_from(m, first, j);
@@ -89,8 +92,10 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
         if (steps == 1) {
             const Linear here = rate_of(&box, of, &start, over.voltage, over.speed);
             to = runge_kutta_step(&box, of, &start, &here, &over);
-        } else
-            to = in_steps(&box, of, &start, &over, all(steps), steps);
+        } else if (is_stiff)
+            to = in_steps(&box, of, &start, &over, all(parts), parts, 1);
+        else
+            to = in_steps(&box, of, &start, &over, all(parts), parts, 0);
         put(m->value + first, j, m->intervals, to.value[CURRENT]);
         put(m->by_state + first, j, m->intervals, to.by_state[CURRENT][CURRENT]);
         UNROLL for (int i = 0; i < of.coordinates; i++)

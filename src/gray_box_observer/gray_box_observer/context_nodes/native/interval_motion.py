@@ -26,7 +26,7 @@ MOST_COORDINATES, MOST_KNOWN = 5, 8
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 _INPUTS = ('p', 'known', 'torque_constant', 'start', 'voltage', 'speed', 'end_speed', 'length')
-_OUTPUTS = ('value', 'by_state', 'by_coordinate', 'stiff')
+_OUTPUTS = ('value', 'by_state', 'by_coordinate', 'left_out')
 
 
 class _Motions(ctypes.Structure):
@@ -100,8 +100,8 @@ def move(
     value = np.empty((motors, intervals))
     by_state = np.empty((motors, intervals))
     by_coordinate = np.empty((p.shape[1], motors, intervals))
-    stiff = np.empty(motors, dtype=bool)
-    places = [array.ctypes.data for array in (*inputs, value, by_state, by_coordinate, stiff)]
+    left_out = np.empty(motors, dtype=bool)
+    places = [array.ctypes.data for array in (*inputs, value, by_state, by_coordinate, left_out)]
     motions = _Motions(
         motors,
         intervals,
@@ -114,8 +114,8 @@ def move(
         *places,
     )
     handle.move_intervals(motions)
-    if stiff.any():
-        index = np.flatnonzero(stiff)
+    if left_out.any():
+        index = np.flatnonzero(left_out)
         motion = flow(
             white_box.of_motors(index),
             p[index],

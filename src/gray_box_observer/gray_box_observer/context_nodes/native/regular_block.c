@@ -284,7 +284,7 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     for (int j = 0; j < k; j++) { /* a loop of its own: intervals overlap in the processor */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
         t->to[j] = t->most == 1 ? runge_kutta_step(&t->box, of, &t->about[j], &t->here[j], &over)
-                                : in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most);
+                                : in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most, 0);
     }
     for (int j = 0; j < k; j++) {
         const Linear to = t->to[j];

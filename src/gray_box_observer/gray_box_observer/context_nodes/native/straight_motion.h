@@ -192,13 +192,10 @@ static int straight_moved(const Ladder *ladder, int level, const double *p, doub
     for (int s = 0; s < STATES; s++) {
         moved->value[s] = end[s];
         for (int r = 0; r < STATES; r++) moved->by_state[s][r] = way->state[s][r];
-        for (int j = 0; j < COORDINATES; j++) {
-            double sum = 0.0;
-            for (int b = 0; b < STATES; b++) {
-                sum += way->rate[s][b] * here->by_coordinate[b][j];
-                for (int r = 0; r < STATES; r++)
-                    sum += turned[b][s][r] * ladder->gradient[b][j][r];
-            }
+        UNROLL for (int j = 0; j < COORDINATES; j++) { /* each stands in one balance */
+            const int b = BALANCE_OF[j];
+            double sum = way->rate[s][b] * here->by_coordinate[b][j];
+            for (int r = 0; r < STATES; r++) sum += turned[b][s][r] * ladder->gradient[b][j][r];
             moved->by_coordinate[s][j] = sum;
         }
     }

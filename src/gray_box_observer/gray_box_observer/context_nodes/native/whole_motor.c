@@ -2,6 +2,7 @@
  * context_nodes/rotor/rotor_trajectory.py for compiled code. */
 #include <stddef.h>
 
+#include "context_nodes/native/held_rotor.h"
 #include "context_nodes/native/straight_motion.h"
 #include "white_box/whole_motor.h"
 
@@ -57,17 +58,21 @@ typedef struct {
     const Ladder *ladder;
 } Stepping;
 
-enum { FEW_STEPS = 4, STRAIGHT_COST = 2, FEWEST_INTERVALS = 8, MANY_STEPS = 16 };
+enum { FEW_STEPS = 4, STRAIGHT_COST = 2, HELD_COST = 4, FEWEST_INTERVALS = 8, MANY_STEPS = 16 };
 #define SAME_LENGTH 1e-6
 
-/* Move on by a length, the ladder's where there is one: at once where the rate is straight on the
- * way, in steps where these are few, else by halves. Steps are shorter where a state passes
- * zero. */
+/* Move on by a length, the ladder's where there is one: at once where friction holds the rotor or
+ * the rate is straight on the way, in steps where these are few, else by halves. Steps are shorter
+ * where a state passes zero. */
 static Linear moved_on(const double *p, double torque_constant, const double *start, double voltage,
                        double length, const Stepping *by, int level, int64_t *taken)
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
     Linear moved;
+    if (held_moved(p, torque_constant, start, &here, voltage, length, &moved)) {
+        *taken += HELD_COST;
+        return moved;
+    }
     if (by->ladder && straight_moved(by->ladder, level, p, torque_constant, start, &here, voltage,
                                      length, &moved)) {
         *taken += STRAIGHT_COST;

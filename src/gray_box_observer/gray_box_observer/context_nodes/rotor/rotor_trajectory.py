@@ -1,10 +1,10 @@
 """The free run of one motor with a rotor, sample after sample, with its derivatives.
 
-An interval is one step where the rate is straight in the states (:mod:`straight_motion`). Else it
-is halved until a part is straight, or until few Runge-Kutta steps are enough for it: near where a
-softened sign changes, and everywhere for a motor with hysteresis. Compiled code
-(`native/whole_motor.c`) and Python give the same to rounding; both are made of
-:mod:`gray_box_observer.white_box.flow`.
+An interval is one step where friction holds the rotor (:mod:`held_rotor`), and where the rate is
+straight in the states (:mod:`straight_motion`). Else it is halved until a part is either, or until
+few Runge-Kutta steps are enough for it: near where a softened sign changes, and everywhere for a
+moving motor with hysteresis. Compiled code (`native/whole_motor.c`) and Python give the same to
+rounding; both are made of :mod:`gray_box_observer.white_box.flow`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
+from gray_box_observer.context_nodes.rotor.held_rotor import held_motion
 from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.flow import (
@@ -49,8 +50,8 @@ too fast for its samples, and a search that tries it would hold everybody up."""
 FEW_STEPS = 4
 """Runge-Kutta steps that are taken sooner than a part is halved."""
 
-STRAIGHT_COST = 2
-"""Steps that a straight motion counts for."""
+STRAIGHT_COST, HELD_COST = 2, 4
+"""Steps that a straight motion counts for, and one with the rotor held."""
 
 FEWEST_INTERVALS = 8
 """Of a run, from which straight motions are prepared."""
@@ -283,6 +284,10 @@ class _Motion:
         """Move on by a part of an interval, in shorter steps where a state passes zero."""
         rate_at = self._rate_at(volt)
         here = rate_at(start)
+        motion = held_motion(rate_at, start, here, length_s)
+        if motion is not None:
+            self.steps += HELD_COST
+            return motion
         motion = None if straight is None else straight.moved(rate_at, start, here, level)
         if motion is not None:
             self.steps += STRAIGHT_COST
