@@ -21,7 +21,7 @@ from typing import Any
 
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
-from written_c import Loop, Written, braces, plain, sign, statements, wrapped, written
+from written_c import Each, Loop, Written, braces, plain, sign, statements, wrapped
 
 from gray_box_observer.white_box import declaration, flow
 from gray_box_observer.white_box.balance import Balance, Form
@@ -443,6 +443,25 @@ class _WholeMotor:
         )
 
 
+def _written_out(name: str, *made: Written) -> flow.Linear:
+    """A rate whose derivatives by coordinates are written out: each stands in one balance only."""
+    places = [
+        [(place, f'[{state.name}][{place}]') for place, term in enumerate(TERMS.values())
+         if term.state is state]
+        for state in State
+    ]  # fmt: skip
+    forced = [Each([Written('0.0')] * len(TERMS)) for _ in State]
+    for slopes, own in zip(forced, places, strict=True):
+        for place, index in own:
+            slopes[place] = Written(f'{name}by_coordinate{index}', made)
+    rate = _linear(name, tuple(State), EVERY_TERM)
+    value, by_state = (
+        [Written(one.text, made) for one in rate.value],
+        [[Written(one.text, made) for one in row] for row in rate.by_state],
+    )
+    return flow.Linear(value, by_state, forced)
+
+
 def whole_motor_form() -> str:
     """Return the text of ``whole_motor.h`` but for its fingerprint."""
     every = range(len(TERMS))
@@ -458,14 +477,11 @@ def whole_motor_form() -> str:
         call = (
             f'const Linear {name} = rate_of(p, torque_constant, (Real[]){{{{{places}}}}}, voltage);'
         )
-        made = Written(name, tuple(at), declared=call)
-        return _linear('{0}.', tuple(State), EVERY_TERM).mapped(
-            lambda member: Written(member.text, (made,), every=member.every)
-        )
+        return _written_out('{0}.', Written(name, tuple(at), declared=call))
 
     start = [Written(f'start[{state.name}]') for state in State]
     here = _linear('here->', tuple(State), EVERY_TERM)
-    by_runge_kutta = flow.runge_kutta_step(rate_at, start, here, interval)
+    by_runge_kutta = flow.runge_kutta_step(rate_at, start, _written_out('here->'), interval)
     begin: Any = start
     exponential = flow._exponential_step(_Functions, rate_at, begin, here, interval)
     both = flow.joined(
@@ -495,7 +511,7 @@ def whole_motor_form() -> str:
     ]
     lines += ['} Linear;']
     for name, (arguments, made) in functions.items():
-        places = list(coefficients) if name == 'rate_of' else ['j']
+        places = list(coefficients) if isinstance(made.by_coordinate[0], list) else ['j']
         body = _stored(made, places, tuple(State))
         lines += ['', f'/* flow.py, {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
         lines += [f'    {arguments})']

@@ -43,6 +43,8 @@ class Written:
         self.declared = declared
 
     def __add__(self, other: Any) -> Written:
+        if _is_zero(self) and not written(other).every:
+            return written(other)
         return self if _is_zero(other) else _computed('+', self, other)
 
     def __radd__(self, other: Any) -> Written:
@@ -61,8 +63,8 @@ class Written:
             else _computed('-', self, other)
         )
 
-    def __mul__(self, other: Any) -> Written:
-        return _product(self, written(other))
+    def __mul__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, Each) else _product(self, written(other))
 
     def __rmul__(self, other: Any) -> Written:
         return _product(written(other), self)
@@ -87,6 +89,16 @@ class Written:
 
     def __abs__(self) -> Written:
         return _computed('absolute({0})', self)
+
+
+class Each(list[Written]):
+    """One expression a coordinate, where these are written out instead of in a loop."""
+
+    def __add__(self, other: Any) -> Each:
+        return Each(a + b for a, b in zip(self, other, strict=True))
+
+    def __rmul__(self, factor: Any) -> Each:
+        return Each(factor * one for one in self)
 
 
 def sign(x: Written) -> Written:

@@ -33,6 +33,9 @@ ROUNDING = 1e-9
 
 KNOWN = ('identified', 'negligible')
 
+YARDSTICK_EVERY = 200
+"""Samples after which a fixed piece of work is timed: clocks of processors change by a half."""
+
 
 @dataclass
 class Trial:
@@ -51,6 +54,7 @@ class Trial:
         fit: what the result says of the fit; empty where it says nothing.
         warnings: what the user is told.
         cost_ms: mean CPU time of a sample.
+        cost_share: the same over that of a fixed piece of work along the record.
         worst_ms: largest CPU time of a sample.
         samples: how many came.
         non_finite: estimates with a value, a standard deviation or a covariance that is not finite.
@@ -71,6 +75,7 @@ class Trial:
     fit: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     cost_ms: float = math.nan
+    cost_share: float = math.nan
     worst_ms: float = math.nan
     samples: int = 0
     non_finite: int = 0
@@ -183,7 +188,7 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
     configuration = Configuration.from_flat(record.parameters)
     observer = Observer(configuration)
     outcome = offline_run.Outcome(observer, MessageInput(observer, configuration))
-    costs_ns = []
+    costs_ns, yardsticks_ns = [], []
     log = record.readings
     torques = log.torque_stamp_ns.tolist(), record.torque_nm.tolist(), log.speed_rad_s.tolist()
     voltages = log.voltage_stamp_ns.tolist(), log.voltage_v.tolist()
@@ -194,13 +199,28 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
             *observer.torque(MOTOR, torque_ns, torque, speed),
         ]
         costs_ns.append(time.thread_time_ns() - begun_ns)
+        if len(costs_ns) % YARDSTICK_EVERY == 0:
+            yardsticks_ns.append(_yardstick_ns())
         _note(results, outcome, listener)
     _note(observer.flush(), outcome, listener)
     observer.close()
     trial.samples = len(costs_ns)
     trial.cost_ms = float(np.mean(costs_ns)) / 1e6
     trial.worst_ms = max(costs_ns) / 1e6
+    trial.cost_share = float(np.mean(costs_ns) / np.median(yardsticks_ns))
     return outcome
+
+
+def _yardstick_ns() -> int:
+    """Time a fixed piece of work, half of it Python's and half numpy's."""
+    matrix, numbers = np.eye(8) + 0.1, dict.fromkeys(range(64), 0)
+    begun_ns = time.thread_time_ns()
+    for k in range(2500):
+        numbers[k & 63] = (numbers[k & 63] * 31 + k) % 1_000_003
+    for _ in range(60):
+        np.linalg.solve(matrix, matrix[0])
+        np.where(matrix > 1.0, matrix, 0.0).sum()
+    return time.thread_time_ns() - begun_ns
 
 
 def _note(results: list[Result], outcome: offline_run.Outcome, listener: Any) -> None:

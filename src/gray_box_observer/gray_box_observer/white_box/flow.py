@@ -256,40 +256,77 @@ def joined(first: Linear, then: Linear) -> Linear:
 
 
 def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
-    total = None
-    for a, b in zip(row, column, strict=True):
-        total = a * b if total is None else total + a * b
-    return total
+    """Sum up the products of two vectors; None stands for nothing."""
+    products = [a * b for a, b in zip(row, column, strict=True) if a is not None]
+    return reduce(add, products)
 
 
 def runge_kutta_step(
     rate_at: RateAt, start: Sequence[Any], here: Linear, interval: Interval
 ) -> Linear:
-    """One classical Runge-Kutta step with its derivatives; ``here`` is the rate at the start."""
+    """One classical Runge-Kutta step with its derivatives; ``here`` is the rate at the start.
+
+    How the end answers a push of the rate of a stage follows from how it answers one of the next
+    stage (the discrete adjoint). Every derivative of the end is then one sum over the stages.
+    """
     step_s, end_speed = interval.length_s, interval.end_speed_rad_s
     half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + end_speed)
+    second = rate_at(_ahead(start, here, half), middle)
+    third = rate_at(_ahead(start, second, half), middle)
+    fourth = rate_at(_ahead(start, third, step_s), end_speed)
+    sixth, states = step_s / 6.0, range(len(start))
+    twice = 2.0 * sixth
+    last = [[sixth if s == by else None for by in states] for s in states]
+    behind_third = _answers(last, fourth, twice, step_s)
+    behind_second = _answers(behind_third, third, twice, half)
+    first = _answers(behind_second, second, sixth, half)
+    stages = (first, here), (behind_second, second), (behind_third, third), (last, fourth)
 
-    def next_rate(before: Linear, ahead_s: Any, speed_rad_s: Any) -> Linear:
-        point = _ahead(start, before, ahead_s)
-        return joined(point, rate_at(point.value, speed_rad_s))
+    def summed(state: int, pushes: Callable[[Linear], Sequence[Any]]) -> Any:
+        return reduce(add, (_product(own[state], pushes(rate)) for own, rate in stages))
 
-    second = next_rate(here, half, middle)
-    third = next_rate(second, half, middle)
-    fourth = next_rate(third, step_s, end_speed)
-    slope_sum = here.mapped(lambda k1, k2, k3, k4: k1 + 2.0 * (k2 + k3) + k4, second, third, fourth)
-    return _ahead(start, slope_sum, step_s / 6.0)
-
-
-def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> Linear:
-    """Where a constant rate leads."""
+    slopes = [
+        k1 + 2.0 * (k2 + k3) + k4
+        for k1, k2, k3, k4 in zip(*(rate.value for _, rate in stages), strict=True)
+    ]
     return Linear(
-        [x + ahead_s * slope for x, slope in zip(start, rate.value, strict=True)],
+        [x + sixth * slope for x, slope in zip(start, slopes, strict=True)],
         [
-            [1.0 + ahead_s * slope if s == r else ahead_s * slope for r, slope in enumerate(row)]
-            for s, row in enumerate(rate.by_state)
+            [
+                1.0 + moved if s == by else moved
+                for by in states
+                for moved in [summed(s, lambda rate, by=by: [row[by] for row in rate.by_state])]
+            ]
+            for s in states
         ],
-        [ahead_s * slope for slope in rate.by_coordinate],
+        [summed(s, lambda rate: rate.by_coordinate) for s in states],
     )
+
+
+def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> list[Any]:
+    """Where a constant rate leads."""
+    return [x + ahead_s * slope for x, slope in zip(start, rate.value, strict=True)]
+
+
+def _answers(
+    later: Sequence[Sequence[Any]], rate: Linear, own: Any, ahead_s: Any
+) -> list[list[Any]]:
+    """Return how the end of a step answers pushes of the rates of a stage, (state, balance).
+
+    Args:
+        later: the same of the next stage.
+        rate: that of the next stage.
+        own: how the end answers them by the stage itself.
+        ahead_s: how far the next stage lies ahead along the rates of this one.
+    """
+    columns = [*zip(*rate.by_state, strict=True)]
+    return [
+        [
+            own + ahead_s * _product(row, column) if s == by else ahead_s * _product(row, column)
+            for by, column in enumerate(columns)
+        ]
+        for s, row in enumerate(later)
+    ]
 
 
 def _exponential_step(

@@ -5,7 +5,7 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 53942886190769285
+#define FORMS_FINGERPRINT 871875362510168629
 
 enum { CURRENT, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -121,17 +121,18 @@ INLINE Linear runge_kutta_step(
         over->voltage, over->end_speed);
     linear.value[CURRENT] = start[CURRENT] + t1 * (here->value[CURRENT] + 2.0 * (r2.value[CURRENT] +
         r3.value[CURRENT]) + r4.value[CURRENT]);
-    const Real t4 = r2.by_state[CURRENT][CURRENT] * (1.0 + t2 * here->by_state[CURRENT][CURRENT]);
-    const Real t5 = r3.by_state[CURRENT][CURRENT] * (1.0 + t2 * t4);
-    linear.by_state[CURRENT][CURRENT] = 1.0 + t1 * (here->by_state[CURRENT][CURRENT] + 2.0 * (t4 +
-        t5) + r4.by_state[CURRENT][CURRENT] * (1.0 + over->length * t5));
+    const Real t4 = 2.0 * t1;
+    const Real t5 = t4 + over->length * (t1 * r4.by_state[CURRENT][CURRENT]);
+    const Real t6 = t4 + t2 * (t5 * r3.by_state[CURRENT][CURRENT]);
+    const Real t7 = t1 + t2 * (t6 * r2.by_state[CURRENT][CURRENT]);
+    linear.by_state[CURRENT][CURRENT] = 1.0 + (t7 * here->by_state[CURRENT][CURRENT] + t6 *
+        r2.by_state[CURRENT][CURRENT] + t5 * r3.by_state[CURRENT][CURRENT] + t1 *
+        r4.by_state[CURRENT][CURRENT]);
     UNROLL for (int j = 0; j < of.coordinates; j++)
     {
-        const Real t6 = r2.by_state[CURRENT][CURRENT] * (t2 * here->by_coordinate[CURRENT][j]) +
-            r2.by_coordinate[CURRENT][j];
-        const Real t7 = r3.by_state[CURRENT][CURRENT] * (t2 * t6) + r3.by_coordinate[CURRENT][j];
-        linear.by_coordinate[CURRENT][j] = t1 * (here->by_coordinate[CURRENT][j] + 2.0 * (t6 + t7) +
-            (r4.by_state[CURRENT][CURRENT] * (over->length * t7) + r4.by_coordinate[CURRENT][j]));
+        linear.by_coordinate[CURRENT][j] = t7 * here->by_coordinate[CURRENT][j] + t6 *
+            r2.by_coordinate[CURRENT][j] + t5 * r3.by_coordinate[CURRENT][j] + t1 *
+            r4.by_coordinate[CURRENT][j];
     }
     return linear;
 }

@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 53942886190769285
+FINGERPRINT = 871875362510168629
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 793126313808395132
+WHOLE_MOTOR_FINGERPRINT = 959942310277321737
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {

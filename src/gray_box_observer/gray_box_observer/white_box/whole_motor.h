@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 793126313808395132
+#define WHOLE_MOTOR_FINGERPRINT 959942310277321737
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -82,60 +82,91 @@ INLINE Linear runge_kutta_step(
         r3.value[CURRENT], start[SPEED] + length * r3.value[SPEED]}, voltage);
     linear.value[CURRENT] = start[CURRENT] + t1 * (here->value[CURRENT] + 2.0 * (r2.value[CURRENT] +
         r3.value[CURRENT]) + r4.value[CURRENT]);
-    const Real t3 = 1.0 + t2 * here->by_state[CURRENT][CURRENT];
-    const Real t4 = t2 * here->by_state[SPEED][CURRENT];
-    const Real t5 = r2.by_state[CURRENT][CURRENT] * t3 + r2.by_state[CURRENT][SPEED] * t4;
-    const Real t6 = 1.0 + t2 * t5;
-    const Real t7 = r2.by_state[SPEED][CURRENT] * t3 + r2.by_state[SPEED][SPEED] * t4;
-    const Real t8 = t2 * t7;
-    const Real t9 = r3.by_state[CURRENT][CURRENT] * t6 + r3.by_state[CURRENT][SPEED] * t8;
-    const Real t10 = 1.0 + length * t9;
-    const Real t11 = r3.by_state[SPEED][CURRENT] * t6 + r3.by_state[SPEED][SPEED] * t8;
-    const Real t12 = length * t11;
-    linear.by_state[CURRENT][CURRENT] = 1.0 + t1 * (here->by_state[CURRENT][CURRENT] + 2.0 * (t5 +
-        t9) + (r4.by_state[CURRENT][CURRENT] * t10 + r4.by_state[CURRENT][SPEED] * t12));
-    const Real t13 = t2 * here->by_state[CURRENT][SPEED];
-    const Real t14 = 1.0 + t2 * here->by_state[SPEED][SPEED];
-    const Real t15 = r2.by_state[CURRENT][CURRENT] * t13 + r2.by_state[CURRENT][SPEED] * t14;
-    const Real t16 = t2 * t15;
-    const Real t17 = r2.by_state[SPEED][CURRENT] * t13 + r2.by_state[SPEED][SPEED] * t14;
-    const Real t18 = 1.0 + t2 * t17;
-    const Real t19 = r3.by_state[CURRENT][CURRENT] * t16 + r3.by_state[CURRENT][SPEED] * t18;
-    const Real t20 = length * t19;
-    const Real t21 = r3.by_state[SPEED][CURRENT] * t16 + r3.by_state[SPEED][SPEED] * t18;
-    const Real t22 = 1.0 + length * t21;
-    linear.by_state[CURRENT][SPEED] = t1 * (here->by_state[CURRENT][SPEED] + 2.0 * (t15 + t19) +
-        (r4.by_state[CURRENT][CURRENT] * t20 + r4.by_state[CURRENT][SPEED] * t22));
+    const Real t3 = 2.0 * t1;
+    const Real t4 = t3 + length * (t1 * r4.by_state[CURRENT][CURRENT]);
+    const Real t5 = length * (t1 * r4.by_state[CURRENT][SPEED]);
+    const Real t6 = t3 + t2 * (t4 * r3.by_state[CURRENT][CURRENT] + t5 *
+        r3.by_state[SPEED][CURRENT]);
+    const Real t7 = t2 * (t4 * r3.by_state[CURRENT][SPEED] + t5 * r3.by_state[SPEED][SPEED]);
+    const Real t8 = t1 + t2 * (t6 * r2.by_state[CURRENT][CURRENT] + t7 *
+        r2.by_state[SPEED][CURRENT]);
+    const Real t9 = t2 * (t6 * r2.by_state[CURRENT][SPEED] + t7 * r2.by_state[SPEED][SPEED]);
+    linear.by_state[CURRENT][CURRENT] = 1.0 + (t8 * here->by_state[CURRENT][CURRENT] + t9 *
+        here->by_state[SPEED][CURRENT] + (t6 * r2.by_state[CURRENT][CURRENT] + t7 *
+        r2.by_state[SPEED][CURRENT]) + (t4 * r3.by_state[CURRENT][CURRENT] + t5 *
+        r3.by_state[SPEED][CURRENT]) + t1 * r4.by_state[CURRENT][CURRENT]);
+    linear.by_state[CURRENT][SPEED] = t8 * here->by_state[CURRENT][SPEED] + t9 *
+        here->by_state[SPEED][SPEED] + (t6 * r2.by_state[CURRENT][SPEED] + t7 *
+        r2.by_state[SPEED][SPEED]) + (t4 * r3.by_state[CURRENT][SPEED] + t5 *
+        r3.by_state[SPEED][SPEED]) + t1 * r4.by_state[CURRENT][SPEED];
+    linear.by_coordinate[CURRENT][0] = t8 * here->by_coordinate[CURRENT][0] + t6 *
+        r2.by_coordinate[CURRENT][0] + t4 * r3.by_coordinate[CURRENT][0] + t1 *
+        r4.by_coordinate[CURRENT][0];
+    linear.by_coordinate[CURRENT][1] = t8 * here->by_coordinate[CURRENT][1] + t6 *
+        r2.by_coordinate[CURRENT][1] + t4 * r3.by_coordinate[CURRENT][1] + t1 *
+        r4.by_coordinate[CURRENT][1];
+    linear.by_coordinate[CURRENT][2] = t8 * here->by_coordinate[CURRENT][2] + t6 *
+        r2.by_coordinate[CURRENT][2] + t4 * r3.by_coordinate[CURRENT][2] + t1 *
+        r4.by_coordinate[CURRENT][2];
+    linear.by_coordinate[CURRENT][3] = t8 * here->by_coordinate[CURRENT][3] + t6 *
+        r2.by_coordinate[CURRENT][3] + t4 * r3.by_coordinate[CURRENT][3] + t1 *
+        r4.by_coordinate[CURRENT][3];
+    linear.by_coordinate[CURRENT][4] = t8 * here->by_coordinate[CURRENT][4] + t6 *
+        r2.by_coordinate[CURRENT][4] + t4 * r3.by_coordinate[CURRENT][4] + t1 *
+        r4.by_coordinate[CURRENT][4];
+    linear.by_coordinate[CURRENT][5] = t8 * here->by_coordinate[CURRENT][5] + t6 *
+        r2.by_coordinate[CURRENT][5] + t4 * r3.by_coordinate[CURRENT][5] + t1 *
+        r4.by_coordinate[CURRENT][5];
+    linear.by_coordinate[CURRENT][6] = t9 * here->by_coordinate[SPEED][6] + t7 *
+        r2.by_coordinate[SPEED][6] + t5 * r3.by_coordinate[SPEED][6];
+    linear.by_coordinate[CURRENT][7] = t9 * here->by_coordinate[SPEED][7] + t7 *
+        r2.by_coordinate[SPEED][7] + t5 * r3.by_coordinate[SPEED][7];
+    linear.by_coordinate[CURRENT][8] = t9 * here->by_coordinate[SPEED][8] + t7 *
+        r2.by_coordinate[SPEED][8] + t5 * r3.by_coordinate[SPEED][8];
+    linear.by_coordinate[CURRENT][9] = t9 * here->by_coordinate[SPEED][9] + t7 *
+        r2.by_coordinate[SPEED][9] + t5 * r3.by_coordinate[SPEED][9];
     linear.value[SPEED] = start[SPEED] + t1 * (here->value[SPEED] + 2.0 * (r2.value[SPEED] +
         r3.value[SPEED]) + r4.value[SPEED]);
-    linear.by_state[SPEED][CURRENT] = t1 * (here->by_state[SPEED][CURRENT] + 2.0 * (t7 + t11) +
-        (r4.by_state[SPEED][CURRENT] * t10 + r4.by_state[SPEED][SPEED] * t12));
-    linear.by_state[SPEED][SPEED] = 1.0 + t1 * (here->by_state[SPEED][SPEED] + 2.0 * (t17 + t21) +
-        (r4.by_state[SPEED][CURRENT] * t20 + r4.by_state[SPEED][SPEED] * t22));
-    UNROLL for (int j = 0; j < COORDINATES; j++)
-    {
-        const Real t23 = t2 * here->by_coordinate[CURRENT][j];
-        const Real t24 = t2 * here->by_coordinate[SPEED][j];
-        const Real t25 = r2.by_state[CURRENT][CURRENT] * t23 + r2.by_state[CURRENT][SPEED] * t24 +
-            r2.by_coordinate[CURRENT][j];
-        const Real t26 = t2 * t25;
-        const Real t27 = r2.by_state[SPEED][CURRENT] * t23 + r2.by_state[SPEED][SPEED] * t24 +
-            r2.by_coordinate[SPEED][j];
-        const Real t28 = t2 * t27;
-        const Real t29 = r3.by_state[CURRENT][CURRENT] * t26 + r3.by_state[CURRENT][SPEED] * t28 +
-            r3.by_coordinate[CURRENT][j];
-        const Real t30 = length * t29;
-        const Real t31 = r3.by_state[SPEED][CURRENT] * t26 + r3.by_state[SPEED][SPEED] * t28 +
-            r3.by_coordinate[SPEED][j];
-        const Real t32 = length * t31;
-        linear.by_coordinate[CURRENT][j] = t1 * (here->by_coordinate[CURRENT][j] + 2.0 * (t25 + t29)
-            +
-            (r4.by_state[CURRENT][CURRENT] * t30 + r4.by_state[CURRENT][SPEED] * t32 +
-            r4.by_coordinate[CURRENT][j]));
-        linear.by_coordinate[SPEED][j] = t1 * (here->by_coordinate[SPEED][j] + 2.0 * (t27 + t31) +
-            (r4.by_state[SPEED][CURRENT] * t30 + r4.by_state[SPEED][SPEED] * t32 +
-            r4.by_coordinate[SPEED][j]));
-    }
+    const Real t10 = length * (t1 * r4.by_state[SPEED][CURRENT]);
+    const Real t11 = t3 + length * (t1 * r4.by_state[SPEED][SPEED]);
+    const Real t12 = t2 * (t10 * r3.by_state[CURRENT][CURRENT] + t11 * r3.by_state[SPEED][CURRENT]);
+    const Real t13 = t3 + t2 * (t10 * r3.by_state[CURRENT][SPEED] + t11 *
+        r3.by_state[SPEED][SPEED]);
+    const Real t14 = t2 * (t12 * r2.by_state[CURRENT][CURRENT] + t13 * r2.by_state[SPEED][CURRENT]);
+    const Real t15 = t1 + t2 * (t12 * r2.by_state[CURRENT][SPEED] + t13 *
+        r2.by_state[SPEED][SPEED]);
+    linear.by_state[SPEED][CURRENT] = t14 * here->by_state[CURRENT][CURRENT] + t15 *
+        here->by_state[SPEED][CURRENT] + (t12 * r2.by_state[CURRENT][CURRENT] + t13 *
+        r2.by_state[SPEED][CURRENT]) + (t10 * r3.by_state[CURRENT][CURRENT] + t11 *
+        r3.by_state[SPEED][CURRENT]) + t1 * r4.by_state[SPEED][CURRENT];
+    linear.by_state[SPEED][SPEED] = 1.0 + (t14 * here->by_state[CURRENT][SPEED] + t15 *
+        here->by_state[SPEED][SPEED] + (t12 * r2.by_state[CURRENT][SPEED] + t13 *
+        r2.by_state[SPEED][SPEED]) + (t10 * r3.by_state[CURRENT][SPEED] + t11 *
+        r3.by_state[SPEED][SPEED]) + t1 * r4.by_state[SPEED][SPEED]);
+    linear.by_coordinate[SPEED][0] = t14 * here->by_coordinate[CURRENT][0] + t12 *
+        r2.by_coordinate[CURRENT][0] + t10 * r3.by_coordinate[CURRENT][0];
+    linear.by_coordinate[SPEED][1] = t14 * here->by_coordinate[CURRENT][1] + t12 *
+        r2.by_coordinate[CURRENT][1] + t10 * r3.by_coordinate[CURRENT][1];
+    linear.by_coordinate[SPEED][2] = t14 * here->by_coordinate[CURRENT][2] + t12 *
+        r2.by_coordinate[CURRENT][2] + t10 * r3.by_coordinate[CURRENT][2];
+    linear.by_coordinate[SPEED][3] = t14 * here->by_coordinate[CURRENT][3] + t12 *
+        r2.by_coordinate[CURRENT][3] + t10 * r3.by_coordinate[CURRENT][3];
+    linear.by_coordinate[SPEED][4] = t14 * here->by_coordinate[CURRENT][4] + t12 *
+        r2.by_coordinate[CURRENT][4] + t10 * r3.by_coordinate[CURRENT][4];
+    linear.by_coordinate[SPEED][5] = t14 * here->by_coordinate[CURRENT][5] + t12 *
+        r2.by_coordinate[CURRENT][5] + t10 * r3.by_coordinate[CURRENT][5];
+    linear.by_coordinate[SPEED][6] = t15 * here->by_coordinate[SPEED][6] + t13 *
+        r2.by_coordinate[SPEED][6] + t11 * r3.by_coordinate[SPEED][6] + t1 *
+        r4.by_coordinate[SPEED][6];
+    linear.by_coordinate[SPEED][7] = t15 * here->by_coordinate[SPEED][7] + t13 *
+        r2.by_coordinate[SPEED][7] + t11 * r3.by_coordinate[SPEED][7] + t1 *
+        r4.by_coordinate[SPEED][7];
+    linear.by_coordinate[SPEED][8] = t15 * here->by_coordinate[SPEED][8] + t13 *
+        r2.by_coordinate[SPEED][8] + t11 * r3.by_coordinate[SPEED][8] + t1 *
+        r4.by_coordinate[SPEED][8];
+    linear.by_coordinate[SPEED][9] = t15 * here->by_coordinate[SPEED][9] + t13 *
+        r2.by_coordinate[SPEED][9] + t11 * r3.by_coordinate[SPEED][9] + t1 *
+        r4.by_coordinate[SPEED][9];
     return linear;
 }
 

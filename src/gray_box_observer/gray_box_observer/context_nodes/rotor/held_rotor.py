@@ -84,9 +84,7 @@ def held_motion(
     )
 
 
-def _at_rest(
-    rate_at: RateAt, states: list[float], length_s: float
-) -> tuple[float, Linear] | None:
+def _at_rest(rate_at: RateAt, states: list[float], length_s: float) -> tuple[float, Linear] | None:
     """Let the speed come to rest under a current; None where it does not, or too slowly.
 
     Returns:

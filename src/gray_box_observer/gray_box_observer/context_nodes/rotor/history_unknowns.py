@@ -116,7 +116,8 @@ class LateReadings:
     def of_signal(self, signal: Array) -> Array:
         """Read a signal that runs straight between samples, shape (k + 1, ...)."""
         weight = self.share if signal.ndim == 1 else self.share[:, None]
-        result: Array = (1.0 - weight) * signal[self.left] + weight * signal[self.left + 1]
+        result: Array = (1.0 - weight) * signal.take(self.left, axis=0)
+        result += weight * signal.take(self.left + 1, axis=0)
         return result
 
     def speed_by_unknown(self, path: Run, interval_s: Array, knots: Array | None) -> Array:

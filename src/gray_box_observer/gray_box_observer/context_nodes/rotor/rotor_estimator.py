@@ -208,7 +208,7 @@ class RotorUpdate:
 
     def advance(self) -> bool | None:
         """Go on with the fit under way; tell whether it has changed the estimate, None: goes on."""
-        if self._fit_task is None or self._is_frozen:
+        if self._fit_task is None or self._is_frozen or self._budget.credit <= 0:
             return None
         with np.errstate(all='ignore'):  # absurd samples; results are checked
             has_ended, has_changed = self._budget.advance(self._fit_task.work)

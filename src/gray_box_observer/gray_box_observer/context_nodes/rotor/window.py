@@ -218,8 +218,21 @@ class FreeRuns:
             for history, path, start in self._histories()
         )
 
+    @cached_property
+    def _late(self) -> tuple[LateReadings | None, ...]:
+        """When the speed sensor reads, where there is one, one a history."""
+        if self.window.speed_output is None:
+            return (None,) * len(self.runs)
+        return tuple(
+            LateReadings.along(history.interval_s, start)
+            for history, start in zip(self.window.histories, self.starts, strict=True)
+        )
+
     def _histories(self) -> Iterator[tuple[History, Run, Array]]:
         return zip(self.window.histories, self.runs, self.starts, strict=True)
+
+    def _readings(self) -> Iterator[tuple[History, Run, LateReadings | None]]:
+        return zip(self.window.histories, self.runs, self._late, strict=True)
 
     @cached_property
     def residual_a(self) -> Array:
@@ -231,8 +244,8 @@ class FreeRuns:
         return np.concatenate(
             [
                 residual
-                for history, path, start in self._histories()
-                for residual in _residuals(history, path, start, self.window.speed_output)
+                for history, path, late in self._readings()
+                for residual in _residuals(history, path, late, self.window.speed_output)
             ]
         )
 
@@ -243,18 +256,20 @@ class FreeRuns:
         Shape (reading, unknown) each, first states before all.
         """
         return tuple(
-            _by_start(history, path, start, knots, self.window.speed_output)
-            for (history, path, start), knots in zip(self._histories(), self._loads, strict=True)
+            _by_start(history, path, late, knots, self.window.speed_output)
+            for (history, path, late), knots in zip(self._readings(), self._loads, strict=True)
         )
 
     @cached_property
     def by_parameter(self) -> Array:
         """Derivatives by the logarithms of the parameters, shape (reading, parameter)."""
-        slopes_of_runs = [
-            _by_coordinate(history, path, start, self.window.speed_output)
-            for history, path, start in self._histories()
-        ]
-        return np.concatenate([slope @ self.by_logarithm for slope in slopes_of_runs])
+        return np.concatenate(
+            [
+                slope
+                for _, path, late in self._readings()
+                for slope in _by_parameter(path, late, self.by_logarithm, self.window.speed_output)
+            ]
+        )
 
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""
@@ -308,37 +323,40 @@ def free_runs(
 
 
 def _residuals(
-    history: History, path: Run, start: Array, output: SpeedOutput | None
+    history: History, path: Run, late: LateReadings | None, output: SpeedOutput | None
 ) -> tuple[Array, ...]:
     """Return what a run leaves of a history's readings, one array an output."""
     current = history.current_a - path.states[:, State.CURRENT]
-    if output is None or history.speed_rad_s is None:
+    if output is None or late is None or history.speed_rad_s is None:
         return (current,)
-    late = LateReadings.along(history.interval_s, start)
     off = history.speed_rad_s - late.of_signal(path.states[:, State.SPEED])
     return current, late.is_covered * output.unit_a_s * off
 
 
 def _by_start(
-    history: History, path: Run, start: Array, knots: Array | None, output: SpeedOutput | None
+    history: History,
+    path: Run,
+    late: LateReadings | None,
+    knots: Array | None,
+    output: SpeedOutput | None,
 ) -> Array:
     """Derivatives of a history's readings by its unknowns, shape (reading, unknown)."""
-    if output is None or history.speed_rad_s is None:
+    if output is None or late is None:
         return path.slopes[:, State.CURRENT, :STATES]
-    late = LateReadings.along(history.interval_s, start)
     counts = (late.is_covered * output.unit_a_s)[:, None]
     speed = counts * late.speed_by_unknown(path, history.interval_s, knots)
     return np.concatenate([current_by_unknown(path, knots), speed])
 
 
-def _by_coordinate(history: History, path: Run, start: Array, output: SpeedOutput | None) -> Array:
-    """Derivatives of a history's readings by the coordinates, shape (reading, coordinate)."""
-    current = path.slopes[:, State.CURRENT, STATES:]
-    if output is None or history.speed_rad_s is None:
-        return current
-    late = LateReadings.along(history.interval_s, start)
-    counts = (late.is_covered * output.unit_a_s)[:, None]
-    return np.concatenate([current, counts * late.of_signal(path.slopes[:, State.SPEED, STATES:])])
+def _by_parameter(
+    path: Run, late: LateReadings | None, by_logarithm: Array, output: SpeedOutput | None
+) -> tuple[Array, ...]:
+    """Derivatives of a history's readings by the logarithms, one array an output."""
+    current = path.slopes[:, State.CURRENT, STATES:] @ by_logarithm
+    if output is None or late is None:
+        return (current,)
+    speed = late.of_signal(path.slopes[:, State.SPEED, STATES:] @ by_logarithm)
+    return current, (late.is_covered * output.unit_a_s)[:, None] * speed
 
 
 def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Array:

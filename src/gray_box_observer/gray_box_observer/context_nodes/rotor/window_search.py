@@ -242,12 +242,11 @@ class Search:
             if left < accuracy.distance**2 * right.size:
                 return False
             before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
-            damping, has_moved = yield from self._stepped(
+            damping, after = yield from self._stepped(
                 equations, precision, right, before, damping, accuracy.gain
             )
-            if not has_moved:
+            if after is None:
                 return False
-            after = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
             idle = idle + 1 if before - after < accuracy.gain else 0
             if idle == MOST_IDLE:
                 return False
@@ -267,8 +266,12 @@ class Search:
         total: float,
         damping: float,
         least_gain: float,
-    ) -> Pieces[tuple[float, bool]]:
-        """Take the first damped step that leads down; return the damping left, and whether any."""
+    ) -> Pieces[tuple[float, float | None]]:
+        """Take the first damped step that leads down.
+
+        Returns:
+            The damping left, and the total there; None where no step leads down.
+        """
         size = np.maximum(np.diagonal(precision), 1e-12)
         most = np.where(np.diagonal(equations.information) < LOOSE, LONGEST_STEP, np.inf)
         for attempt in range(MOST_ATTEMPTS):
@@ -288,9 +291,9 @@ class Search:
                 if after <= total + 1e-9 * abs(total):
                     self.logarithms, self.starts, self._runs = logarithms, starts, runs
                     easier = 0.1 if attempt == 0 else 1.0
-                    return max(easier * damping, 1e-9), True
+                    return max(easier * damping, 1e-9), after
             damping = max(10.0 * damping, 1e-6)
-        return damping, False
+        return damping, None
 
     def result(self) -> Fit | None:
         """Return where the search has ended; None where nothing can be said of it."""
