@@ -398,10 +398,11 @@ def _stored(
         results += [(f'linear.value[{s.name}]', linear.value[s])]
         results += [(f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in states]
         forced = linear.by_coordinate[s]
-        entries = forced if isinstance(forced, list) else [forced]
+        entries = forced.entries if isinstance(forced, Each) else forced
+        listed = entries if isinstance(entries, list) else [entries]
         results += [
             (f'linear.by_coordinate[{s.name}][{p}]', slope)
-            for p, slope in zip(places, entries, strict=True)
+            for p, slope in zip(places, listed, strict=True)
         ]
     return statements(results)
 
@@ -445,21 +446,21 @@ class _WholeMotor:
 
 def _written_out(name: str, *made: Written) -> flow.Linear:
     """A rate whose derivatives by coordinates are written out: each stands in one balance only."""
-    places = [
-        [(place, f'[{state.name}][{place}]') for place, term in enumerate(TERMS.values())
-         if term.state is state]
+    forced: list[Any] = [
+        Each(
+            Written(f'{name}by_coordinate[{state.name}][{place}]', made)
+            if term.state is state
+            else Written('0.0')
+            for place, term in enumerate(TERMS.values())
+        )
         for state in State
-    ]  # fmt: skip
-    forced = [Each([Written('0.0')] * len(TERMS)) for _ in State]
-    for slopes, own in zip(forced, places, strict=True):
-        for place, index in own:
-            slopes[place] = Written(f'{name}by_coordinate{index}', made)
+    ]
     rate = _linear(name, tuple(State), EVERY_TERM)
-    value, by_state = (
-        [Written(one.text, made) for one in rate.value],
-        [[Written(one.text, made) for one in row] for row in rate.by_state],
+    return flow.Linear(
+        [Written(entry.text, made) for entry in rate.value],
+        [[Written(entry.text, made) for entry in row] for row in rate.by_state],
+        forced,
     )
-    return flow.Linear(value, by_state, forced)
 
 
 def whole_motor_form() -> str:
@@ -511,7 +512,8 @@ def whole_motor_form() -> str:
     ]
     lines += ['} Linear;']
     for name, (arguments, made) in functions.items():
-        places = list(coefficients) if isinstance(made.by_coordinate[0], list) else ['j']
+        is_looped = getattr(made.by_coordinate[0], 'every', None) is not None
+        places = ['j'] if is_looped else list(coefficients)
         body = _stored(made, places, tuple(State))
         lines += ['', f'/* flow.py, {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
         lines += [f'    {arguments})']

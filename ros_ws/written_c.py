@@ -55,13 +55,11 @@ class Written:
         other = written(other)
         if _is_zero(other):
             return self
-        if _is_zero(self) and not other.every:
-            return -other
-        return (
-            Written('-=', (self, other))
-            if other.every and not self.every
-            else _computed('-', self, other)
-        )
+        if other.every and not self.every:
+            return Written('-=', (self, other))
+        if _is_zero(self):
+            return _computed('-({0})', other)
+        return _computed('-', self, other)
 
     def __mul__(self, other: Any) -> Any:
         return NotImplemented if isinstance(other, Each) else _product(self, written(other))
@@ -91,14 +89,21 @@ class Written:
         return _computed('absolute({0})', self)
 
 
-class Each(list[Written]):
-    """One expression a coordinate, where these are written out instead of in a loop."""
+class Each:
+    """Expressions, one a coordinate, that are written out instead of in a loop.
 
-    def __add__(self, other: Any) -> Each:
-        return Each(a + b for a, b in zip(self, other, strict=True))
+    Args:
+        entries: in the order of the coordinates.
+    """
+
+    def __init__(self, entries: Iterable[Written]) -> None:
+        self.entries = [*entries]
+
+    def __add__(self, other: Each) -> Each:
+        return Each(a + b for a, b in zip(self.entries, other.entries, strict=True))
 
     def __rmul__(self, factor: Any) -> Each:
-        return Each(factor * one for one in self)
+        return Each(factor * entry for entry in self.entries)
 
 
 def sign(x: Written) -> Written:

@@ -285,20 +285,17 @@ def runge_kutta_step(
     def summed(state: int, pushes: Callable[[Linear], Sequence[Any]]) -> Any:
         return reduce(add, (_product(own[state], pushes(rate)) for own, rate in stages))
 
+    def by_state(state: int, by: int) -> Any:
+        moved = summed(state, lambda rate: [row[by] for row in rate.by_state])
+        return 1.0 + moved if state == by else moved
+
     slopes = [
         k1 + 2.0 * (k2 + k3) + k4
         for k1, k2, k3, k4 in zip(*(rate.value for _, rate in stages), strict=True)
     ]
     return Linear(
         [x + sixth * slope for x, slope in zip(start, slopes, strict=True)],
-        [
-            [
-                1.0 + moved if s == by else moved
-                for by in states
-                for moved in [summed(s, lambda rate, by=by: [row[by] for row in rate.by_state])]
-            ]
-            for s in states
-        ],
+        [[by_state(s, by) for by in states] for s in states],
         [summed(s, lambda rate: rate.by_coordinate) for s in states],
     )
 
