@@ -9,7 +9,7 @@ _MOST_NAMES = 30
 _LONGEST_NAME = 100
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TopicInfo:
     """One topic of a bag.
 
@@ -30,7 +30,7 @@ class TopicInfo:
     type_hash: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Loss:
     """What of a bag could not be read; ``str(loss)`` is one line for the user."""
 

@@ -26,7 +26,7 @@ _EXPANSION = 1000
 """Bytes that a compressed one may stand for: logs come to some tens, and only a bomb to more."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ReadLimits:
     """Memory that reading a bag may hold at one time; what needs more is left out and reported.
 

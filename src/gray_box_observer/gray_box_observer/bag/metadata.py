@@ -28,7 +28,7 @@ _NEVER_NS = (1 << 63) - 1
 """The starting time that rosbag2 gives to a bag without messages."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TopicRecord:
     """One topic's part of the metadata."""
 
@@ -39,7 +39,7 @@ class TopicRecord:
     message_count: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FileRecord:
     """One file's part of the metadata; times in nanoseconds since the epoch of the log times."""
 
@@ -49,7 +49,7 @@ class FileRecord:
     message_count: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ListedFile:
     """One file of a bag, with message count and first log time where ``metadata.yaml`` has them."""
 
@@ -58,7 +58,7 @@ class ListedFile:
     start_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Listing:
     """The files of a bag in their order.
 

@@ -27,7 +27,7 @@ Chunks and their checksums stay: without them a damaged or killed bag could not 
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BagOptions:
     """How a bag is written.
 

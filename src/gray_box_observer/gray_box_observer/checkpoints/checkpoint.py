@@ -54,7 +54,7 @@ FIXED_BYTES = 16 << 20
 """Bytes that a checkpoint of one motor may have beside its samples."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Snapshot:
     """What was learnt at one moment; nothing in it moves on.
 
@@ -119,7 +119,7 @@ def save(observer: Observer, path: Path) -> None:
     write(capture(observer), path)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Resumed:
     """What came of continuing from a checkpoint.
 

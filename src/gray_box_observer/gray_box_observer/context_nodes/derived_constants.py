@@ -47,7 +47,7 @@ OF_NO_ROTOR = ('electrical_time_constant',)
 """What is told of a motor without a rotor as a state."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DerivedConstant:
     """One constant that follows from the parameters.
 

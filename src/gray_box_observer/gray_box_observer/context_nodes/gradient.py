@@ -35,7 +35,7 @@ from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class GradientSettings:
     """Settings of the gradient rule; defaults suit tens to hundreds of samples per L/R.
 

@@ -19,7 +19,7 @@ LATEST_STAMP_NS = 2**31 * 10**9
 """The first stamp that no message can tell."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MotorColumns:
     """Expressions (see :mod:`column_expressions`) that give one motor's signals in SI units.
 
@@ -57,7 +57,7 @@ class MotorColumns:
             )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CsvMapping:
     """What the columns of a log mean.
 

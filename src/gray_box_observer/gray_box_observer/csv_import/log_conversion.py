@@ -47,7 +47,7 @@ _BEYOND_NS = 2.0**31 * 1e9
 """The first stamp that no message can tell; an integer of 64 bits can."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CsvSummary:
     """What became of a log.
 
@@ -83,7 +83,7 @@ class CsvSummary:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Motor:
     """One motor's signals.  shape of each: (row,)."""
 

@@ -29,7 +29,7 @@ _COMMA_NUMBER = re.compile(r'[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?')
 _DECIMAL_COMMA = re.compile(r'(?<![0-9])[0-9]+,[0-9]+')
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TableShape:
     """What the head of a log tells.
 
@@ -46,7 +46,7 @@ class TableShape:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Columns:
     """Some columns of a log.
 

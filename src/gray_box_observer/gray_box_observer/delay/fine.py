@@ -52,7 +52,7 @@ NOISE_FLOOR = 1e-4
 PRIOR_STD = 2.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fitted:
     """One maximum of the likelihood.
 

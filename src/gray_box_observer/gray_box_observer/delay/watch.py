@@ -64,7 +64,7 @@ class DelayVerdict(str, Enum):
     ESTIMATED = 'estimated'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DelayEstimate:
     """What is known of the delay of one motor: voltage acts that much later than it is stamped.
 
@@ -104,7 +104,7 @@ class DelayEstimate:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Found:
     """Outcome of one search; a NaN where it did not come that far."""
 

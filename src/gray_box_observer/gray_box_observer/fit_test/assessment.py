@@ -38,7 +38,7 @@ class FitVerdict(str, Enum):
     MISFIT = 'misfit'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Suspect:
     """An effect that the white box leaves out and that would explain the residual.
 
@@ -54,7 +54,7 @@ class Suspect:
     remedy: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FitAssessment:
     """Residual analysis of the free run at the published values (Ljung 1999, chapter 16).
 

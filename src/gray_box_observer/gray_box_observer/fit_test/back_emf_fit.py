@@ -57,7 +57,7 @@ UNEXPLAINED = 0.05
 and what the white box lacks may turn R negative too."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BackEmfFit:
     """The voltage balance fitted with Kb free.
 

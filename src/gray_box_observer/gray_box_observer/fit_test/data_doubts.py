@@ -99,7 +99,7 @@ FEWEST_CLIPPED = 30
 chance."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Doubts:
     """Likely errors in one motor's data or declarations.
 

@@ -110,7 +110,7 @@ def doubt_of_data_sheet(
     return Suspect('data_sheet', 0.5 * first.away**2, f'{first.text}: {hint}')
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Finding:
     """A parameter beside what was given of it.
 

@@ -102,13 +102,13 @@ class FitSchedule:
             return False
         if replay.begin(motors).item() > self._begin.item(motor):
             return False
-        values = zip(
-            estimate.value[0].tolist(),
-            self._lowest[motor].tolist(),
-            self._highest[motor].tolist(),
-            strict=True,
-        )
-        return not any(value < lowest or value > highest for value, lowest, highest in values)
+        has_passed = self._has_passed.item(motor)
+        lowest, highest = self._lowest[motor].tolist(), self._highest[motor].tolist()
+        for j, value in enumerate(estimate.value[0].tolist()):
+            is_far = value < lowest[j] or value > highest[j]
+            if is_far and not (has_passed and estimate.verdicts[0][j] is not Verdict.IDENTIFIED):
+                return False
+        return True
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""

@@ -49,7 +49,7 @@ OUTLIER = 6.0
 """Standard deviations beyond which a reading corrects no state after a restart."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FreeRun:
     """Free run of one motor over k + 1 samples.
 

@@ -107,7 +107,7 @@ squared."""
 LARGEST_FACTOR = 1e3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Judgement:
     """What follows from a residual analysis for one motor.
 

@@ -70,7 +70,7 @@ CLEARLY, VERY_CLEARLY = 30.0, 300.0
 small residual; else the free run is asked."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MotorUnderTest:
     """A motor, as it is when it is tested.
 
@@ -128,7 +128,7 @@ class MotorUnderTest:
         return min(replay.stored(self.motor), replay.capacity)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Finding:
     """What a look at some newest samples has found.
 
@@ -147,7 +147,7 @@ class _Finding:
     noise_a: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class WindowTest:
     """Tests the newest samples of one motor.
 

@@ -79,7 +79,7 @@ class Training:
             )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Score:
     """How well one free run fits.
 
@@ -109,7 +109,7 @@ class Score:
         return {'rmse': self.rmse, 'nmae': self.nmae, 'fit_percent': self.fit_percent}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Validation:
     """Judgement of one motor on data that taught it nothing.
 
@@ -241,7 +241,7 @@ def _judge(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Heard:
     """Samples that were heard and not learnt, as a fit test asks for them."""
 

@@ -42,7 +42,7 @@ INDEFINITE = 1e-6
 FLOAT, SINGLE, WHOLE, FLAG, WORD = 'float64', 'float32', 'int64', 'bool', 'uint64'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ArrayRule:
     """What one array must be like.
 

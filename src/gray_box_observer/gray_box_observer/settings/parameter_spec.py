@@ -12,7 +12,7 @@ LONGEST_TEXT = 4096
 """Of a text; no path may be longer."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ParameterSpec:
     """One parameter as a user sees it.
 

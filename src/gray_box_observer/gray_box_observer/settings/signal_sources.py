@@ -26,7 +26,7 @@ _KT = ('kt', 'k_t', 'torqueconstant', 'torque_const')
 """What is written for the torque constant, in small letters."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Feed:
     """A topic that is listened to, and what for.
 

@@ -38,7 +38,7 @@ _ESTIMATES = 'std_msgs/msg/Float64MultiArray'
 _DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Playback:
     """How a bag is shown.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Form:
     """A formula with derivatives, elementwise in the signals: numbers, arrays or tensors.
 
@@ -41,7 +41,7 @@ Effects = tuple[tuple[Any, Callable[..., Any]], ...]
 """Known effects, or their derivatives: coefficients, lined up with the signals, and functions."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Balance:
     """One state's balance, elementwise: ``storage d state / dt = drive - sum of its effects``.
 

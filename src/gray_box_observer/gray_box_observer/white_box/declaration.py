@@ -46,7 +46,7 @@ DRIVES = {State.CURRENT: 'voltage', State.SPEED: 'torque_constant * current'}
 """What drives every state: ``storage d state / dt = drive - sum of the effects``, in V and N m."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Term:
     """One effect: coefficient times ``formula``, or the storage of a state.
 

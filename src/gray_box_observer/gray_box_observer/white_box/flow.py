@@ -286,8 +286,8 @@ def runge_kutta_step(
         return reduce(add, (_product(own[state], pushes(rate)) for own, rate in stages))
 
     def by_state(state: int, by: int) -> Any:
-        moved = summed(state, lambda rate: [row[by] for row in rate.by_state])
-        return 1.0 + moved if state == by else moved
+        slope = summed(state, lambda rate: [row[by] for row in rate.by_state])
+        return 1.0 + slope if state == by else slope
 
     slopes = [
         k1 + 2.0 * (k2 + k3) + k4

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 """A float array; where a function is elementwise it also takes torch tensors."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Parameter:
     """One unknown physical parameter.
 

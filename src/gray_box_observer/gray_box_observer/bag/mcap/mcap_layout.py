@@ -43,7 +43,7 @@ _RUN_BYTES = 1 << 20
 _LONGEST_MARK = 256
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Piece:
     """A part of the file with messages: one chunk, or a run of messages outside chunks.
 
@@ -64,7 +64,7 @@ class Piece:
     is_cut: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Damage:
     """Bytes that hold no readable message although they should."""
 

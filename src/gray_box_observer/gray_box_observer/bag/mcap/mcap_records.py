@@ -38,7 +38,7 @@ MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 """Opcode, length, channel, sequence, log time, publish time."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Channel:
     """One topic as a file declares it; texts are empty where the file has none."""
 
@@ -50,7 +50,7 @@ class Channel:
     type_hash: str = ''
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Statistics:
     """The file's own account of what it holds."""
 

@@ -20,7 +20,7 @@ from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Mechanics:
     """The mechanical half of one motor.
 

@@ -73,7 +73,7 @@ IDLE = 0.01
 """Squared distance, in standard deviations, of two ends that are the same."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class OutputNoise:
     """Noise of both outputs.
 
@@ -93,7 +93,7 @@ class OutputNoise:
         return self.current_a / self.speed_rad_s
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class OutputFit:
     """Where the fit of both outputs has ended.
 
@@ -188,7 +188,7 @@ def fit_outputs(
     return walk_fit if walk_fit is not None and walk_fit.explains else steady
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FitBefore:
     """What a fit of the window before has left.
 

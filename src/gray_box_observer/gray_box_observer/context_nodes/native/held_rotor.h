@@ -20,9 +20,9 @@ INLINE int at_rest(const double *p, double torque_constant, double *state, doubl
         *there = rate_of(p, torque_constant, state, voltage);
         const double decay = -there->by_state[SPEED][SPEED];
         if (!(decay * length >= FEWEST_DECAYS)) return 0;
-        const double missing = there->value[SPEED];
-        if (absolute(missing) <= AT_REST * decay) return 1;
-        state[SPEED] += missing / decay;
+        const double imbalance = there->value[SPEED];
+        if (absolute(imbalance) <= AT_REST * decay) return 1;
+        state[SPEED] += imbalance / decay;
     }
     return 0;
 }
@@ -49,9 +49,9 @@ static int held_moved(const double *p, double torque_constant, const double *sta
     const double left = exp(slope * length), reach = absolute(slope * length) < NEARLY_NONE
                                                          ? length
                                                          : (left - 1.0) / slope;
-    const double slipped = first.by_state[CURRENT][SPEED] * (start[SPEED] - from[SPEED]) / decay;
+    const double slip = first.by_state[CURRENT][SPEED] * (start[SPEED] - from[SPEED]) / decay;
     const double step = reach * first.value[CURRENT];
-    to[CURRENT] = from[CURRENT] + step + slipped;
+    to[CURRENT] = from[CURRENT] + step + slip;
     to[SPEED] = from[SPEED] + turns * step;
     if (!at_rest(p, torque_constant, to, voltage, length, &last)) return 0;
     const double size =
@@ -59,7 +59,7 @@ static int held_moved(const double *p, double torque_constant, const double *sta
                                                                   absolute(to[CURRENT]));
     const double off = last.value[CURRENT] - first.value[CURRENT] - slope * step;
     const double late = first.by_state[CURRENT][SPEED] * turns * first.value[CURRENT] / decay;
-    if (!(absolute(off) + absolute(late) + absolute(slipped) / length <= FOLLOWING * size))
+    if (!(absolute(off) + absolute(late) + absolute(slip) / length <= FOLLOWING * size))
         return 0;
     const double last_decay = -last.by_state[SPEED][SPEED];
     const double last_turns = last.by_state[SPEED][CURRENT] / last_decay;

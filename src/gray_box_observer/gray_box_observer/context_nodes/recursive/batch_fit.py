@@ -72,7 +72,7 @@ RAMP_EVIDENCE = 12.0
 stretch."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fit:
     """Result of a fit.
 

@@ -33,7 +33,7 @@ LEAST_EIGENVALUE = 1e-12
 """Of a matrix of correlations: smaller ones are rounding."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scaling:
     """Units of the unknowns: ``current_a`` for the first state, present values for the rest.
 
@@ -204,6 +204,15 @@ def is_sound(covariance: Array) -> NDArray[np.bool_]:
     return sound
 
 
+def _all_definite(correlation: Array) -> bool:
+    """Tell whether no eigenvalue of some correlations is too small: a third of finding them."""
+    try:
+        np.linalg.cholesky(correlation - LEAST_EIGENVALUE * np.eye(correlation.shape[-1]))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def shortest_solution(matrix: Array, right: Array) -> Array:
     """Solve normal equations of one motor, also where they are singular; NaN where not finite.
 
@@ -230,6 +239,8 @@ def definite(covariance: Array, unit: Array) -> Array:
     std = np.sqrt(np.maximum(covariance.diagonal(0, 1, 2), np.finfo(float).tiny))
     correlation = covariance / std[:, :, None] / std[:, None, :]
     bad = ~is_sound(covariance)
+    if not bad.any() and _all_definite(correlation):
+        return covariance
     bad[~bad] = np.linalg.eigvalsh(correlation[~bad])[:, 0] < LEAST_EIGENVALUE
     if not bad.any():
         return covariance

@@ -65,7 +65,7 @@ LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SampleWindow:
     """Samples 0 ... k of a group of motors.
 
@@ -146,7 +146,7 @@ class SampleWindow:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Trajectory:
     """The stretch under given coordinates, and how it would move with them.
 
@@ -172,7 +172,7 @@ class Trajectory:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Linearised:
     """Every interval's flow as an affine map of the state at its start and of the coordinates.
 

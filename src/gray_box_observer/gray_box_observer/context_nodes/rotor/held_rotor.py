@@ -58,9 +58,9 @@ def held_motion(
     left = math.exp(slope * length_s)
     reach = length_s if is_none else (left - 1.0) / slope
     rate = first.value[State.CURRENT]
-    slipped = by_speed * (start[State.SPEED] - from_speed) / decay
+    slip_a = by_speed * (start[State.SPEED] - from_speed) / decay
     step = reach * rate
-    current = start[State.CURRENT] + step + slipped
+    current = start[State.CURRENT] + step + slip_a
     end = _at_rest(rate_at, [current, from_speed + turns * step], length_s)
     if end is None:
         return None
@@ -68,7 +68,7 @@ def held_motion(
     size = abs(rate) + abs(slope) * max(abs(start[State.CURRENT]), abs(current))
     off = last.value[State.CURRENT] - rate - slope * step
     late = by_speed * turns * rate / decay
-    if not abs(off) + abs(late) + abs(slipped) / length_s <= FOLLOWING * size:
+    if not abs(off) + abs(late) + abs(slip_a) / length_s <= FOLLOWING * size:
         return None
     last_decay, last_turns = _following(last)
     follows = by_speed / decay
@@ -96,10 +96,10 @@ def _at_rest(rate_at: RateAt, states: list[float], length_s: float) -> tuple[flo
         decay = -there.by_state[State.SPEED][State.SPEED]
         if not decay * length_s >= FEWEST_DECAYS:
             return None
-        missing = there.value[State.SPEED]
-        if abs(missing) <= AT_REST * decay:
+        imbalance = there.value[State.SPEED]
+        if abs(imbalance) <= AT_REST * decay:
             return speed, there
-        speed += missing / decay
+        speed += imbalance / decay
     return None
 
 

@@ -26,7 +26,7 @@ LATEST = 5.0
 """Standard deviation of the speed's lag before anything is known of it, in sample intervals."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SpeedOutput:
     """How a window's measured speed is taken for an output of the motor.
 
@@ -81,7 +81,7 @@ def load_over_intervals(unknowns: Array, interval_s: Array) -> Array | None:
     return np.asarray(np.interp(places, np.arange(loads.size), loads), dtype=float)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LateReadings:
     """When a speed sensor that lags reads, along a history.
 

@@ -11,7 +11,7 @@ from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.white_box.interface import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LogPrior:
     """What is believed of the logarithms of the parameters: Gaussian.
 
@@ -35,7 +35,7 @@ class LogPrior:
         return float(off @ self.precision @ off)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fit:
     """Where a search has ended.
 

@@ -61,7 +61,7 @@ MANY_STEPS, SAME_LENGTH = 16, 1e-6
 share by which a length is another."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Run:
     """Where k intervals lead.
 

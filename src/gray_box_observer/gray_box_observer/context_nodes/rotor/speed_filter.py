@@ -57,7 +57,7 @@ LEAST_V = 1e-3
 """Voltage by which the no-load speed is reckoned at least."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SpeedEstimate:
     """Speed of one motor at the stamp of its newest sample.
 

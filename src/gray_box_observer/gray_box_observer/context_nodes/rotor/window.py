@@ -49,7 +49,7 @@ MOVE = 0.1
 """Share of its range by which a voltage has moved."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class History:
     """Samples between two restarts.
 

@@ -70,7 +70,7 @@ LEAST_START_GAIN = 1.0
 """Of chi-square, from which first states are moved by themselves before all else is."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Accuracy:
     """How near a search goes to where it would end.
 
@@ -87,7 +87,7 @@ ROUGHLY, NEARLY = Accuracy(0.3, 0.3), Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SearchEnd:
     """Where a search has ended.
 

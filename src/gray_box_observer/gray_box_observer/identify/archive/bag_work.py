@@ -17,7 +17,7 @@ from gray_box_observer.identify.result import describe, warnings_of
 from gray_box_observer.observer.builder import TrainingFactory
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BagResult:
     """What one bag has given: plain values, so that it may cross from process to process.
 
@@ -55,7 +55,7 @@ class BagResult:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BagWork:
     """Identifies bags, each with an observer of its own; keeps nothing from one to the next.
 

@@ -46,7 +46,7 @@ def require_dask() -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DaskEngine:
     """Spreads bags over a Dask cluster, which limits how often a bag is retried.
 

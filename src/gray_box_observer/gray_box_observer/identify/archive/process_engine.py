@@ -24,7 +24,7 @@ from gray_box_observer.identify.archive.serial_engine import Work
 DIED = 'its worker process died again and again while reading it (out of memory?)'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ProcessEngine:
     """Spreads bags over processes of this machine.
 
