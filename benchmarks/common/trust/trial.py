@@ -207,7 +207,7 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
     trial.samples = len(costs_ns)
     trial.cost_ms = float(np.mean(costs_ns)) / 1e6
     trial.worst_ms = max(costs_ns) / 1e6
-    trial.cost_share = float(np.mean(costs_ns) / np.median(yardsticks_ns))
+    trial.cost_share = float(np.mean(costs_ns) / np.median(yardsticks_ns or [_yardstick_ns()]))
     return outcome
 
 

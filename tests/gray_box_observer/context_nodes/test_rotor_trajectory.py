@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,6 +121,31 @@ def test_derivatives_of_straight_motions_are_finite_differences(place: int, comp
 
 HELD_THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 0.2])
 """Dry friction that up to 10 A do not overcome; a voltage of 12 V drives 6 A."""
+
+
+def test_compiled_code_and_python_hold_a_rotor_by_the_same_rules() -> None:
+    header = Path(held_rotor.__file__).parents[1] / 'native' / 'held_rotor.h'
+    text = header.read_text()
+    found = dict(re.findall(r'#define (\w+) ([\d.e-]+)', text))
+    found |= dict(re.findall(r'enum \{ (\w+) = (\d+) \}', text))
+    assert found
+    assert {name: getattr(held_rotor, name) for name in found} == {
+        name: float(number) for name, number in found.items()
+    }
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+def test_where_a_slipping_rotor_ends_answers_where_it_began(compiled: bool) -> None:
+    volts, interval = np.full(1, 6.0), np.full(1, 1e-3)
+    p = coordinates(BOX, HELD_THETA)
+
+    def end(speed: float) -> Run:
+        begin = np.array([1.0, speed])
+        return run(KT, p, begin, volts, interval, LIMITS, is_compiled=compiled)
+
+    assert end(0.01).steps == rotor_trajectory.HELD_COST
+    by_difference = (end(0.01).states[1] - end(0.0).states[1]) / 0.01
+    np.testing.assert_allclose(end(0.005).slopes[1, :, 1], by_difference, rtol=0.2, atol=1e-9)
 
 
 @pytest.mark.parametrize('compiled', [True, False])

@@ -336,7 +336,6 @@ class MeasuredSpeedUpdate:
         """
         was_noisy, fits = self._is_noisy, self._outputs.counters()
         has_fitted = self._has_fitted(go_on)
-        self._exact.rest(rests=self._is_noisy)
         if self._is_noisy or was_noisy:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
@@ -485,7 +484,6 @@ class MeasuredSpeedUpdate:
         self._rest_until = newest_place + whole(own, 'rest_until', -MOST, RAREST)
         self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
-        self._exact.rest(rests=self._is_noisy)
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)

@@ -34,42 +34,44 @@ INLINE double push_of(const Linear *there, int coordinate, double follows)
            follows * there->by_coordinate[SPEED][coordinate];
 }
 
-/* Move on by a length over which the speed follows the current; returns 0 where it does not. */
-static int held_moved(const double *p, double torque_constant, const double *start,
-                      const Linear *here, double voltage, double length, Linear *moved)
+/* Whether the speed comes to rest in a length, by the rate at its start. */
+INLINE int may_be_held(const Linear *here, double length)
 {
-    if (!(-here->by_state[SPEED][SPEED] * length >= FEWEST_DECAYS)) return 0;
+    return -here->by_state[SPEED][SPEED] * length >= FEWEST_DECAYS;
+}
+
+/* Move on by a length over which the speed follows the current; returns 0 where it does not. */
+static int held_moved(const double *p, double torque_constant, const double *start, double voltage,
+                      double length, Linear *moved)
+{
     double from[STATES] = {start[CURRENT], start[SPEED]}, to[STATES];
     Linear first, last;
     if (!at_rest(p, torque_constant, from, voltage, length, &first)) return 0;
     const double decay = -first.by_state[SPEED][SPEED];
     const double turns = first.by_state[SPEED][CURRENT] / decay;
-    const double slope =
-        first.by_state[CURRENT][CURRENT] + first.by_state[CURRENT][SPEED] * turns;
-    const double left = exp(slope * length), reach = absolute(slope * length) < NEARLY_NONE
-                                                         ? length
-                                                         : (left - 1.0) / slope;
+    const double slope = first.by_state[CURRENT][CURRENT] + first.by_state[CURRENT][SPEED] * turns;
+    if (!(slope <= 0.0)) return 0; /* the current runs away */
+    const int is_none = -slope * length < NEARLY_NONE;
+    const double left = exp(slope * length);
+    const double reach = is_none ? length : expm1(slope * length) / slope;
+    const double rate = first.value[CURRENT];
     const double slip = first.by_state[CURRENT][SPEED] * (start[SPEED] - from[SPEED]) / decay;
-    const double step = reach * first.value[CURRENT];
-    to[CURRENT] = from[CURRENT] + step + slip;
+    const double step = reach * rate;
+    to[CURRENT] = from[CURRENT] + step + left * slip;
     to[SPEED] = from[SPEED] + turns * step;
     if (!at_rest(p, torque_constant, to, voltage, length, &last)) return 0;
     const double size =
-        absolute(first.value[CURRENT]) + absolute(slope) * larger(absolute(from[CURRENT]),
-                                                                  absolute(to[CURRENT]));
-    const double off = last.value[CURRENT] - first.value[CURRENT] - slope * step;
-    const double late = first.by_state[CURRENT][SPEED] * turns * first.value[CURRENT] / decay;
-    if (!(absolute(off) + absolute(late) + absolute(slip) / length <= FOLLOWING * size))
-        return 0;
+        absolute(rate) + absolute(slope) * larger(absolute(from[CURRENT]), absolute(to[CURRENT]));
+    const double off = last.value[CURRENT] - rate - slope * (to[CURRENT] - from[CURRENT]);
+    const double late = first.by_state[CURRENT][SPEED] * turns * rate / decay;
+    if (!(absolute(off) + absolute(late) + absolute(slip) / length <= FOLLOWING * size)) return 0;
     const double last_decay = -last.by_state[SPEED][SPEED];
     const double last_turns = last.by_state[SPEED][CURRENT] / last_decay;
     const double follows = first.by_state[CURRENT][SPEED] / decay;
     const double last_follows = last.by_state[CURRENT][SPEED] / last_decay;
-    const double change = absolute(slope * length) < NEARLY_NONE
-                              ? 0.5 * length
-                              : (length * left - reach) / (slope * reach);
+    const double change = is_none ? 0.5 * length : (length * left - reach) / (slope * reach);
     moved->value[CURRENT] = to[CURRENT];
-    moved->value[SPEED] = to[SPEED];
+    moved->value[SPEED] = to[SPEED] - last_turns * last.value[CURRENT] / last_decay; /* its lag */
     moved->by_state[CURRENT][CURRENT] = left;
     moved->by_state[CURRENT][SPEED] = left * follows;
     moved->by_state[SPEED][CURRENT] = last_turns * left;

@@ -69,9 +69,9 @@ static Linear moved_on(const double *p, double torque_constant, const double *st
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
     Linear moved;
-    if (held_moved(p, torque_constant, start, &here, voltage, length, &moved)) {
+    if (may_be_held(&here, length)) {
         *taken += HELD_COST;
-        return moved;
+        if (held_moved(p, torque_constant, start, voltage, length, &moved)) return moved;
     }
     if (by->ladder && straight_moved(by->ladder, level, p, torque_constant, start, &here, voltage,
                                      length, &moved)) {

@@ -87,7 +87,6 @@ class BlockUpdater:
 
     Attributes:
         batch_size: motors whose regular blocks are learnt at one sample of the group.
-        asks_changes: whether it requests examinations.
     """
 
     def __init__(
@@ -107,7 +106,6 @@ class BlockUpdater:
         self._heats = random_walk.heating(white_box.parameters)
         self._regular = RegularBlocks(white_box, rules, replay)
         self.batch_size = max(BLOCKS_PER_STEP, replay.motors // 16)
-        self.asks_changes = True
 
     def fit(self, motors: MotorSelection, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -275,7 +273,7 @@ class BlockUpdater:
             block = block.silenced(silent)
         state.outliers = state.outliers + (block.samples - block.inlier_count)
         state.kicks = state.kicks + block.has_kick
-        state.task_code = self._suspects(state, block) * self.asks_changes
+        state.task_code = self._suspects(state, block)
         if fresh.any():
             self._look_at_rest(motors, fresh, block)
         calm = state.task_code == 0

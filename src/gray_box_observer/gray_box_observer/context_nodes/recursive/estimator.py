@@ -161,22 +161,6 @@ class RecursiveEstimator:
         self._is_frozen = is_frozen
         self._resumes = None if is_frozen else np.ones_like(self._nobody)
 
-    def rest(self, *, rests: bool) -> None:
-        """Let the recursion go on alone, or go back to examinations and fits beside it.
-
-        Where another rule is believed, nobody reads what these find, and they are most of the cost.
-        After a rest everything that is remembered is fitted.
-        """
-        if rests is not self._updater.asks_changes:
-            return
-        self._updater.asks_changes = not rests
-        remembered_count = self.replay.remembered(slice(None), self.replay.received)
-        soon = np.maximum(remembered_count, self._rules.first_fit)
-        state = self._state
-        state.next_fit_at = np.full_like(soon, 2 * self.replay.capacity) if rests else soon
-        self._schedule.plan(state, slice(None))
-        self._schedule.wake()
-
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief, parameters = self._state.belief, self._white_box.parameters

@@ -34,19 +34,19 @@ NEARLY_NONE = 1e-6
 """Exponent below which its series serves."""
 
 
-def held_motion(
-    rate_at: RateAt, start: list[float], here: Linear, length_s: float
-) -> Linear | None:
+def may_be_held(here: Linear, length_s: float) -> bool:
+    """Tell whether the speed comes to rest in a length, by the rate at its start."""
+    return bool(-here.by_state[State.SPEED][State.SPEED] * length_s >= FEWEST_DECAYS)
+
+
+def held_motion(rate_at: RateAt, start: list[float], length_s: float) -> Linear | None:
     """Move on by a length over which friction holds the rotor; None where it does not.
 
     Args:
         rate_at: rate at given states.
         start: the states.
-        here: the rate there.
         length_s: how far.
     """
-    if not -here.by_state[State.SPEED][State.SPEED] * length_s >= FEWEST_DECAYS:
-        return None
     begin = _at_rest(rate_at, start, length_s)
     if begin is None:
         return None
@@ -54,19 +54,21 @@ def held_motion(
     own, by_speed = first.by_state[State.CURRENT]
     decay, turns = _following(first)
     slope = own + by_speed * turns
-    is_none = abs(slope * length_s) < NEARLY_NONE
+    if not slope <= 0.0:  # the current runs away
+        return None
+    is_none = -slope * length_s < NEARLY_NONE
     left = math.exp(slope * length_s)
-    reach = length_s if is_none else (left - 1.0) / slope
+    reach = length_s if is_none else math.expm1(slope * length_s) / slope
     rate = first.value[State.CURRENT]
     slip_a = by_speed * (start[State.SPEED] - from_speed) / decay
     step = reach * rate
-    current = start[State.CURRENT] + step + slip_a
+    current = start[State.CURRENT] + step + left * slip_a
     end = _at_rest(rate_at, [current, from_speed + turns * step], length_s)
     if end is None:
         return None
     to_speed, last = end
     size = abs(rate) + abs(slope) * max(abs(start[State.CURRENT]), abs(current))
-    off = last.value[State.CURRENT] - rate - slope * step
+    off = last.value[State.CURRENT] - rate - slope * (current - start[State.CURRENT])
     late = by_speed * turns * rate / decay
     if not abs(off) + abs(late) + abs(slip_a) / length_s <= FOLLOWING * size:
         return None
@@ -77,8 +79,9 @@ def held_motion(
     change = 0.5 * length_s if is_none else (length_s * left - reach) / (slope * reach)
     by_current = reach * begins + change * (ends - begins)
     by_coordinate = np.array(last.by_coordinate[State.SPEED]) / last_decay + last_turns * by_current
+    lag_rad_s = last_turns * last.value[State.CURRENT] / last_decay
     return Linear(
-        [current, to_speed],
+        [current, to_speed - lag_rad_s],
         [[left, left * follows], [last_turns * left, last_turns * left * follows]],
         [by_current, by_coordinate],
     )

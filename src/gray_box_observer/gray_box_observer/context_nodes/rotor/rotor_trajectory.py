@@ -18,7 +18,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
-from gray_box_observer.context_nodes.rotor.held_rotor import held_motion
+from gray_box_observer.context_nodes.rotor.held_rotor import held_motion, may_be_held
 from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.flow import (
@@ -51,7 +51,7 @@ FEW_STEPS = 4
 """Runge-Kutta steps that are taken sooner than a part is halved."""
 
 STRAIGHT_COST, HELD_COST = 2, 4
-"""Steps that a straight motion counts for, and one with the rotor held."""
+"""Steps that a straight motion counts for, and an attempt at one with the rotor held."""
 
 FEWEST_INTERVALS = 8
 """Of a run, from which straight motions are prepared."""
@@ -284,10 +284,11 @@ class _Motion:
         """Move on by a part of an interval, in shorter steps where a state passes zero."""
         rate_at = self._rate_at(volt)
         here = rate_at(start)
-        motion = held_motion(rate_at, start, here, length_s)
-        if motion is not None:
+        if may_be_held(here, length_s):
             self.steps += HELD_COST
-            return motion
+            motion = held_motion(rate_at, start, length_s)
+            if motion is not None:
+                return motion
         motion = None if straight is None else straight.moved(rate_at, start, here, level)
         if motion is not None:
             self.steps += STRAIGHT_COST
