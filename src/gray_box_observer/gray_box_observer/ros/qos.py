@@ -42,17 +42,6 @@ _REFUSALS = (
 )
 
 
-def publish(publisher: Any, message: Any) -> None:
-    """Publish by a lifecycle publisher while it is active; bytes without rclpy's checks of them.
-
-    Of five microseconds that publishing takes in Python these checks are half.
-    """
-    if type(message) is not bytes:
-        publisher.publish(message)
-    elif publisher.is_activated:
-        publisher.handle.publish_raw(message)
-
-
 def subscribe(
     node: Node,
     kind: Any,

@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.lifecycle import LifecycleNode
 
 from gray_box_observer.ros import topics
-from gray_box_observer.ros.qos import advertise, publish
+from gray_box_observer.ros.qos import advertise
 
 
 class LatchedTopic:
@@ -41,7 +41,7 @@ class LatchedTopic:
             self._publisher = self._create()
             self._publisher.on_activate(None)
         self._holds_value = True
-        publish(self._publisher, message)
+        self._publisher.publish(message)
 
     def correct(self, message: Any) -> None:
         """Publish what holds now instead of what is latched, in whatever state the node is."""

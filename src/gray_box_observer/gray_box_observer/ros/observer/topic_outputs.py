@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from gray_box_observer.ros.observer.message_templates import (
     yes_and_no,
 )
 from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
-from gray_box_observer.ros.qos import advertise, publish
+from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array, Parameter
@@ -85,7 +84,8 @@ class Outputs:
         publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name, topic.qos)
         if active:
             publisher.on_activate(None)  # type: ignore[attr-defined]
-        return partial(publish, publisher)
+        publish: Publish = publisher.publish
+        return publish
 
     def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, and every changed estimate."""
