@@ -179,12 +179,6 @@ COORDINATES = Loop('for (int j = 0; j < of.coordinates; j++)')
 """Loops over unknown terms, known terms and coordinates."""
 
 
-class _List:
-    """Of numpy's functions the one that a rate needs."""
-
-    stack = list
-
-
 class _WhiteBox:
     """A motor of any terms: the balances of every motor, with the terms in loops."""
 
@@ -314,7 +308,7 @@ def _case(name: str, effect: Expression) -> list[str]:
 class _Functions:
     """Of numpy's functions those that a rate and an exponential step need."""
 
-    stack = list
+    stack = Each
 
     @staticmethod
     def minimum(value: Written, other: float) -> Written:
@@ -339,7 +333,7 @@ def _rate() -> list[str]:
     coefficients: Any = {0: Written('box->p[0]'), 'j': Written('box->p[j]', every=UNKNOWN)}
     states = [Written(f'state[{state.name}]') for state in COMPILED]
     box: Any = _WhiteBox()
-    rate = flow.rate(_List, box, coefficients, states, Written('voltage'), Written('speed'))
+    rate = flow.rate(_Functions, box, coefficients, states, Written('voltage'), Written('speed'))
     return _stored(rate, list(coefficients))
 
 
@@ -365,7 +359,9 @@ def _runge_kutta_step() -> list[str]:
 
 def _exponential_step() -> list[str]:
     start: Any = [Written(f'start[{state.name}]') for state in COMPILED]
-    interval = flow.Interval(*(Written(name) for name in ('0.0', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
+    none: Any = Written('0.0')
+    length: Any = Written('length')
+    interval = flow.Interval(none, none, none, length)
     step = flow._exponential_step(_Functions, _no_rate, start, _linear('here->'), interval)
     return _stored(step, ['j'])
 
@@ -398,11 +394,10 @@ def _stored(
         results += [(f'linear.value[{s.name}]', linear.value[s])]
         results += [(f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in states]
         forced = linear.by_coordinate[s]
-        entries = forced.entries if isinstance(forced, Each) else forced
-        listed = entries if isinstance(entries, list) else [entries]
+        entries = forced.entries if isinstance(forced, Each) else [forced]
         results += [
             (f'linear.by_coordinate[{s.name}][{p}]', slope)
-            for p, slope in zip(places, listed, strict=True)
+            for p, slope in zip(places, entries, strict=True)
         ]
     return statements(results)
 
@@ -512,8 +507,7 @@ def whole_motor_form() -> str:
     ]
     lines += ['} Linear;']
     for name, (arguments, made) in functions.items():
-        is_looped = getattr(made.by_coordinate[0], 'every', None) is not None
-        places = ['j'] if is_looped else list(coefficients)
+        places = list(coefficients) if isinstance(made.by_coordinate[0], Each) else ['j']
         body = _stored(made, places, tuple(State))
         lines += ['', f'/* flow.py, {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
         lines += [f'    {arguments})']

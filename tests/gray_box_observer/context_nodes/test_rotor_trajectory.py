@@ -46,6 +46,26 @@ def free_run(
     return run(KT, p, start, volts, np.full(volts.size, interval_s), LIMITS, **options)
 
 
+def differentiated(
+    p: np.ndarray,
+    start: np.ndarray,
+    volts: np.ndarray,
+    interval_s: np.ndarray,
+    place: int,
+    *,
+    is_compiled: bool,
+) -> tuple[Run, np.ndarray]:
+    """Return a run, and the differences of its states by a coordinate, shape (k + 1, state)."""
+
+    def ends(bump: float) -> Run:
+        moved = p.copy()
+        moved[place] += bump
+        return run(KT, moved, start, volts, interval_s, LIMITS, is_compiled=is_compiled)
+
+    bump = 1e-4 * max(abs(p[place]), 1.0)
+    return ends(0.0), (ends(bump).states - ends(-bump).states) / (2.0 * bump)
+
+
 def test_where_there_is_a_compiler_there_is_a_compiled_trajectory() -> None:
     if shutil.which('cc') is None and shutil.which('gcc') is None:
         pytest.skip('no C compiler')
@@ -106,15 +126,9 @@ def test_derivatives_of_straight_motions_are_finite_differences(place: int, comp
     volts, interval = np.linspace(6.0, 9.0, 8), np.full(8, 1e-2)
     p, start = coordinates(BOX, THETA), np.array([1.0, 200.0])
 
-    def ends(bump: float) -> Run:
-        moved = p.copy()
-        moved[place] += bump
-        return run(KT, moved, start, volts, interval, LIMITS, is_compiled=compiled)
-
-    bump = 1e-4 * max(abs(p[place]), 1.0)
-    by_difference = (ends(bump).states - ends(-bump).states) / (2.0 * bump)
-    slope = ends(0.0).slopes[:, :, 2 + place]
-    assert ends(0.0).steps == 2 * volts.size
+    path, by_difference = differentiated(p, start, volts, interval, place, is_compiled=compiled)
+    slope = path.slopes[:, :, 2 + place]
+    assert path.steps == 2 * volts.size
     scale = np.abs(by_difference).max(axis=0)
     assert (np.abs(slope - by_difference) <= 1e-5 * scale).all()
 
@@ -126,11 +140,11 @@ HELD_THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 0.2])
 def test_compiled_code_and_python_hold_a_rotor_by_the_same_rules() -> None:
     header = Path(held_rotor.__file__).parents[1] / 'native' / 'held_rotor.h'
     text = header.read_text()
-    found = dict(re.findall(r'#define (\w+) ([\d.e-]+)', text))
-    found |= dict(re.findall(r'enum \{ (\w+) = (\d+) \}', text))
-    assert found
-    assert {name: getattr(held_rotor, name) for name in found} == {
-        name: float(number) for name, number in found.items()
+    constants = dict(re.findall(r'#define (\w+) ([\d.e-]+)', text))
+    constants |= dict(re.findall(r'enum \{ (\w+) = (\d+) \}', text))
+    assert constants
+    assert {name: getattr(held_rotor, name) for name in constants} == {
+        name: float(number) for name, number in constants.items()
     }
 
 
@@ -176,15 +190,9 @@ def test_derivatives_with_the_rotor_held_are_finite_differences(place: int, comp
     volts, interval = np.linspace(6.0, 9.0, 8), np.full(8, 1e-3)
     p, start = coordinates(BOX, HELD_THETA), np.array([1.0, 0.0])
 
-    def ends(bump: float) -> Run:
-        moved = p.copy()
-        moved[place] += bump
-        return run(KT, moved, start, volts, interval, LIMITS, is_compiled=compiled)
-
-    bump = 1e-4 * max(abs(p[place]), 1.0)
-    by_difference = (ends(bump).states - ends(-bump).states) / (2.0 * bump)
-    slope = ends(0.0).slopes[:, :, 2 + place]
-    assert ends(0.0).steps == rotor_trajectory.HELD_COST * volts.size
+    path, by_difference = differentiated(p, start, volts, interval, place, is_compiled=compiled)
+    slope = path.slopes[:, :, 2 + place]
+    assert path.steps == rotor_trajectory.HELD_COST * volts.size
     scale = np.abs(by_difference).max(axis=0)
     assert (np.abs(slope - by_difference) <= 0.03 * scale).all()
 
