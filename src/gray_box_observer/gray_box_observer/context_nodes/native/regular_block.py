@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.context_nodes.recursive import change_test
 from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
@@ -195,7 +196,7 @@ class RegularBlocks:
             end,
             begin,
         )
-        places = [array.ctypes.data for array in self._constant_arrays]
+        places = [array.ctypes.data for array in self._constant_arrays]  # some have gaps
         self._update = _Update(
             coordinates=len(white_box.parameters),
             samples=rules.block,
@@ -242,7 +243,7 @@ class RegularBlocks:
         )
         self._wait = _COUNT()
         self._batch_places = (
-            *(array.ctypes.data for array in self._batch),
+            *(address(array) for array in self._batch),
             ctypes.byref(self._wait),
         )
 
@@ -274,7 +275,7 @@ class RegularBlocks:
             return state, status
         state = self._point(state, next_update_at, is_block_update)
         self._library.learn_blocks(
-            self._update, motors.ctypes.data, motors.size, status.ctypes.data
+            self._update, address(motors), motors.size, address(status)
         )
         return state, status
 
@@ -322,7 +323,7 @@ class RegularBlocks:
             state = copied(state)
             arrays = (*_of_learnt(state), next_update_at, is_block_update)
         for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
-            setattr(self._update, name, array.ctypes.data)
+            setattr(self._update, name, address(array))
         self._target_parts = (*_parts(state), next_update_at, is_block_update)
         return state
 

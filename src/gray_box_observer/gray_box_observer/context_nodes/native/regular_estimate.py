@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.estimate import (
     verdicts_of,
 )
 from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.context_nodes.recursive.belief import Belief
 from gray_box_observer.white_box.interface import Array, Parameter, bounds
 
@@ -70,7 +71,7 @@ class RegularEstimates:
             np.empty((motors, n, n)),
             np.empty((motors, n), dtype=np.uint8),
         )
-        self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._results)
+        self._at = address(self._places), tuple(address(array) for array in self._results)
         self._belief: Belief | None = None
         self._rules: VerdictSettings | None = None
         self._shares: tuple[Array | None, Array | None] = (None, None)
@@ -120,8 +121,8 @@ class RegularEstimates:
             self._belief_pointers.share = self._belief_pointers.reach = None
         elif share.flags.c_contiguous and reach.flags.c_contiguous:
             self._belief_pointers.share, self._belief_pointers.reach = (
-                share.ctypes.data,
-                reach.ctypes.data,
+                address(share),
+                address(reach),
             )
         else:
             return False
@@ -142,6 +143,6 @@ class RegularEstimates:
                 self._belief_pointers.p,
                 self._belief_pointers.covariance,
                 self._belief_pointers.noise,
-            ) = (a.ctypes.data for a in arrays)
+            ) = (address(a) for a in arrays)
             self._belief = belief
         return True

@@ -56,5 +56,5 @@ def library() -> ctypes.CDLL | None:
 
 def pointer(array: NDArray[Any]) -> int:
     """Return the address of an array of doubles without gaps."""
-    assert array.flags.c_contiguous and array.dtype == np.float64
-    return array.ctypes.data
+    assert array.dtype == np.float64
+    return compiled.address(array)

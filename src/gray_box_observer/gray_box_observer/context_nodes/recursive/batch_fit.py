@@ -258,14 +258,14 @@ class _Search:
                 find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale())
                 & odd
             )
-            kicks &= ~follow_moves(kicks, self._stretch.voltage_v)[:, None]
+            kicks &= ~follow_moves(kicks, self._stretch.moves)[:, None]
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
                 gain = self._gains()
             self._predict(self._maps, gain * near)
             near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
-        self._weights = (self._valid & near if robust else self._valid) / (1.0 + self._loose)
+        self._weights = (self._stretch.valid & near if robust else self._stretch.valid) / (1.0 + self._loose)
 
     def _gains(self) -> Array:
         """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
@@ -276,7 +276,7 @@ class _Search:
     def _predict(self, maps: Linearised, gain: Array) -> None:
         self._path = follow(maps, self._stretch, self._first, gain)
         self._residual = self._stretch.state - self._path.state
-        self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
+        self._scale = np.maximum(robust_std(self._residual, self._stretch.valid), self._floor)
 
     def _sharp_scale(self) -> Array:
         """Noise by the residual's changes between samples, where a lasting kick counts once."""
@@ -286,22 +286,18 @@ class _Search:
         bounded_scale: Array = np.maximum(sharp, self._floor)
         return bounded_scale
 
-    @property
-    def _valid(self) -> NDArray[np.bool_]:
-        first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
-        return np.concatenate([first, ~self._stretch.restart], axis=1)
-
     def _step(self, selection: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """One Gauss-Newton step of some of the motors; tell of each if it was small."""
         n, p, prior = self._p.shape[1], self._p, self._prior
         frame = Scaling(self._size, p)
         jacobian = frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
-        finite = np.all(np.isfinite(information), axis=(1, 2)) & np.all(np.isfinite(right), axis=1)
-        information = np.where(
-            finite[:, None, None], information, 0.0
-        )  # numbers no float can square say nothing
-        right = np.where(finite[:, None], right, 0.0)
+        if not (np.isfinite(information).all() and np.isfinite(right).all()):
+            finite = np.isfinite(information).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+            information = np.where(
+                finite[:, None, None], information, 0.0
+            )  # numbers no float can square say nothing
+            right = np.where(finite[:, None], right, 0.0)
         freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
@@ -379,7 +375,7 @@ class _Search:
             transfer[:, 0, 1:],
         )
         restarts = np.sum(self._stretch.restart, axis=1)
-        left_out = np.sum(self._valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
+        left_out = np.sum(self._stretch.valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
         linear = linear_std(self._frame.p, self._information, self._noise)
         return Fit(belief, self._ramp(), left_out.astype(float), linear)
 

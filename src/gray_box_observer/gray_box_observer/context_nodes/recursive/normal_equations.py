@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,9 +139,11 @@ def bounded_solution(matrix: Array, right: Array, lowest: Array, highest: Array)
         Shape (motor, unknown); NaN where the equations are singular.
     """
     values = solved(matrix, right[..., None])[..., 0]
+    inside = values.clip(lowest, highest)
+    if (inside == values).all():
+        return values
     eye, free = np.eye(matrix.shape[-1]), np.ones(values.shape, dtype=bool)
     for _ in range(matrix.shape[-1]):
-        inside = np.clip(values, lowest, highest)
         beyond = free & (inside != values) & np.isfinite(values)
         if not beyond.any():
             break
@@ -149,10 +152,11 @@ def bounded_solution(matrix: Array, right: Array, lowest: Array, highest: Array)
         rest = np.where(free, right - (matrix @ at_bounds[..., None])[..., 0], at_bounds)
         of_free = np.where(free[..., None] & free[..., None, :], matrix, eye)
         values = solved(of_free, rest[..., None])[..., 0]
-    result: Array = np.clip(values, lowest, highest)
-    return result
+        inside = values.clip(lowest, highest)
+    return inside
 
 
+@cache
 def step_limits(coordinates: int) -> tuple[Array, Array]:
     """Return the smallest and largest steps of one Gauss-Newton step, shape (unknown,) each.
 
@@ -164,6 +168,7 @@ def step_limits(coordinates: int) -> tuple[Array, Array]:
     smallest, largest = np.full(STATES + coordinates, LEAST_BESIDE), np.ones(STATES + coordinates)
     smallest[STATES : STATES + 2] = LEAST_STEP
     smallest[CURRENT], largest[CURRENT] = -np.inf, np.inf
+    smallest.flags.writeable = largest.flags.writeable = False
     return smallest, largest
 
 

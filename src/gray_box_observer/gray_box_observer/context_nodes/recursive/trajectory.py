@@ -13,6 +13,7 @@ for all motors and many samples at a time.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,27 @@ class SampleWindow:
     interval_s: Array
     speed_rad_s: Array
     restart: NDArray[np.bool_]
+
+    @cached_property
+    def is_regular(self) -> bool:
+        """Whether no signal history starts anew in it."""
+        return not self.restart.any()
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where no signal history starts anew behind the first sample, shape (motor, k + 1)."""
+        first = np.ones((self.state.shape[0], 1), dtype=bool)
+        return np.concatenate([first, ~self.restart], axis=1)
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Where the voltage moves and stays, see :func:`voltage_moves`, shape (motor, k)."""
+        return voltage_moves(self.voltage_v)
+
+    @cached_property
+    def far_away(self) -> Array:
+        """Size that no current of these samples has, shape (motor, 1)."""
+        return FAR * (np.abs(self.state).max(axis=1, keepdims=True) + 1e-9)
 
     def restarted(self, at: NDArray[np.bool_]) -> SampleWindow:
         """Return the stretch with further restarts, shape (motor, k)."""
@@ -204,15 +226,15 @@ def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array
     ends = speed[:, :-1], speed[:, 1:]
     motion = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
     end, by_state, by_coordinate = motion.of_state(CURRENT)
-    limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
+    limit = stretch.far_away
     if not (
         np.abs(end) <= limit
     ).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
         end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
         by_coordinate = np.clip(np.nan_to_num(by_coordinate), -ABSURD, ABSURD)
-    decay = np.clip(by_state, -1.0, 1.0)
+    decay = by_state.clip(-1.0, 1.0)
     offset = end - decay * start
-    if stretch.restart.any():
+    if not stretch.is_regular:
         decay = np.where(stretch.restart, 0.0, decay)
         offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
         by_coordinate = np.where(stretch.restart, 0.0, by_coordinate)
@@ -229,9 +251,11 @@ def follow(maps: Linearised, stretch: SampleWindow, start: Array, gain: Array) -
         gain: shape (motor, k + 1): share of every sample's error that the state takes over; 0 for a
             free run.
     """
-    factor = maps.decay * (1.0 - gain[:, :-1])
-    offset = maps.offset + maps.decay * gain[:, :-1] * stretch.state[:, :-1]
-    inputs = np.concatenate([offset[None], np.zeros_like(offset)[None], maps.by_coordinate])
+    gain = gain[:, :-1]
+    factor = maps.decay * (1.0 - gain)
+    inputs = np.empty((START_ROW + 1 + maps.by_coordinate.shape[0], *factor.shape))
+    inputs[STATE_ROW] = maps.offset + maps.decay * gain * stretch.state[:, :-1]
+    inputs[START_ROW], inputs[COORDINATE_ROWS] = 0.0, maps.by_coordinate
     first = np.zeros((inputs.shape[0], start.size))
     first[STATE_ROW], first[START_ROW] = start, 1.0
     rows = recurrence(factor, inputs, first)
@@ -268,24 +292,37 @@ def find_kicks(
     return kicks
 
 
-def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_]:
-    """Tell whose state jumps at most moves of the voltage: that is the model's fault.
+def voltage_moves(voltage_v: Array) -> NDArray[np.bool_]:
+    """Find where the voltage moves and stays.
 
-    A run that begins anew behind every move would rest on the held levels alone, and these tell
-    nothing of the inductance. A voltage that is back after one interval has not moved: that may be
-    a wrong reading.
+    One that is back after one interval has not moved: that may be a wrong reading.
 
     Args:
-        kicks: shape (motor, k): where the state has jumped.
         voltage_v: shape (motor, k): mean over every interval.
 
     Returns:
-        Shape (motor,).
+        Shape (motor, k).
     """
     around = np.concatenate([voltage_v[:, :1], voltage_v, voltage_v[:, -1:]], axis=1)
     lasting_v = median(np.stack([around[:, :-2], voltage_v, around[:, 2:]], axis=-1))
     change_v = np.abs(np.diff(lasting_v, axis=1, prepend=lasting_v[:, :1]))
-    moves = change_v > MOVE * np.ptp(lasting_v, axis=1, keepdims=True)
+    moves: NDArray[np.bool_] = change_v > MOVE * np.ptp(lasting_v, axis=1, keepdims=True)
+    return moves
+
+
+def follow_moves(kicks: NDArray[np.bool_], moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell whose state jumps at most moves of the voltage: that is the model's fault.
+
+    A run that begins anew behind every move would rest on the held levels alone, and these tell
+    nothing of the inductance.
+
+    Args:
+        kicks: shape (motor, k): where the state has jumped.
+        moves: shape (motor, k): where the voltage has moved.
+
+    Returns:
+        Shape (motor,).
+    """
     near = kicks.copy()
     near[:, :-1] |= kicks[:, 1:]  # what a delayed voltage does comes an interval later
     at_moves: NDArray[np.bool_] = (moves & near).sum(axis=1) > MAX_KICKED_MOVES * moves.sum(axis=1)
@@ -315,6 +352,8 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
         decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
         restart: shape (motor, k).
     """
+    if not restart.any():
+        return np.zeros((restart.shape[0], restart.shape[1] + 1))
     compiled_variance = interval_motion.restart_variance(
         decay, restart, UNKNOWN, NEGLIGIBLE, SETTLING
     )

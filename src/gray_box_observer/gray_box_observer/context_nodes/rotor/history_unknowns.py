@@ -88,11 +88,13 @@ class LateReadings:
     Attributes:
         left: shape (k + 1,): sample before the instant that is read.
         share: shape (k + 1,): of the interval behind it that has passed by then.
+        interval_s: shape (k + 1,): length of that interval.
         is_covered: shape (k + 1,): whether the instant lies within the history.
     """
 
     left: NDArray[np.intp]
     share: Array
+    interval_s: Array
     is_covered: NDArray[np.bool_]
 
     @classmethod
@@ -106,10 +108,11 @@ class LateReadings:
         time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
         instant = time_s - unknowns[LAG]
         left = np.clip(np.searchsorted(time_s, instant, side='right') - 1, 0, interval_s.size - 1)
-        edge = 1e-9 * interval_s[0]
+        edge, behind_s = 1e-9 * interval_s[0], interval_s[left]
         return cls(
             left,
-            (instant - time_s[left]) / interval_s[left],
+            (instant - time_s[left]) / behind_s,
+            behind_s,
             (instant >= time_s[0] - edge) & (instant <= time_s[-1] + edge),
         )
 
@@ -120,34 +123,10 @@ class LateReadings:
         result += weight * signal.take(self.left + 1, axis=0)
         return result
 
-    def speed_by_unknown(self, path: Run, interval_s: Array, knots: Array | None) -> Array:
-        """Derivatives of the speed that is read by the unknowns of the history.
-
-        Args:
-            path: the run.
-            interval_s: shape (k,).
-            knots: :func:`load_slopes` of the run.
-
-        Returns:
-            Shape (k + 1, unknown).
-        """
-        speed = path.states[:, State.SPEED]
-        result = self.of_signal(_by_unknown(path, knots, State.SPEED))
-        result[:, LAG] = -(speed[self.left + 1] - speed[self.left]) / interval_s[self.left]
+    def by_lag(self, signal: Array) -> Array:
+        """Differentiate a signal that is read by the lag, shape (k + 1,)."""
+        result: Array = -(signal[self.left + 1] - signal[self.left]) / self.interval_s
         return result
-
-
-def current_by_unknown(path: Run, knots: Array | None) -> Array:
-    """Derivatives of the current by the unknowns of the history, shape (k + 1, unknown)."""
-    return _by_unknown(path, knots, State.CURRENT)
-
-
-def _by_unknown(path: Run, knots: Array | None, state: State) -> Array:
-    count = path.states.shape[0]
-    parts = [path.slopes[:, state, :STATES], np.zeros((count, 1))]
-    if knots is not None:
-        parts.append(knots[:, state])
-    return np.concatenate(parts, axis=1)
 
 
 def load_slopes(path: Run, interval_s: Array, unknowns: Array) -> Array | None:

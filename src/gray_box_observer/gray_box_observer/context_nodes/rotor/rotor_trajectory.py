@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.native import whole_motor as native
+from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
 from gray_box_observer.context_nodes.rotor.held_rotor import held_motion, may_be_held
 from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
@@ -138,7 +139,7 @@ def run(
         MOST_STEPS,
         max(PATIENCE * count, LEAST_PATIENCE),
         *map(native.pointer, (states, derivatives, transitions)),
-        step_count.ctypes.data,
+        address(step_count),
     )
     return Run(states, derivatives, transitions, path == count, int(step_count[0]))
 

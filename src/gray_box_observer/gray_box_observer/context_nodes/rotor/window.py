@@ -12,9 +12,10 @@ import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
+    LAG,
+    LOADS,
     LateReadings,
     SpeedOutput,
-    current_by_unknown,
     load_over_intervals,
     load_slopes,
 )
@@ -250,26 +251,31 @@ class FreeRuns:
         )
 
     @cached_property
+    def derivatives(self) -> tuple[Array, ...]:
+        """Derivatives of the readings by all unknowns, one a history.
+
+        Shape (reading, unknown + parameter) each: by the unknowns of the history, first states
+        before all, then by the logarithms of the parameters.
+        """
+        return tuple(
+            _derivatives(path, late, knots, self.by_logarithm, self.window)
+            for (_, path, late), knots in zip(self._readings(), self._loads, strict=True)
+        )
+
+    @property
     def by_start(self) -> tuple[Array, ...]:
         """Derivatives of the readings by the unknowns of their history, one a history.
 
-        Shape (reading, unknown) each, first states before all.
+        Shape (reading, unknown) each.
         """
-        return tuple(
-            _by_start(history, path, late, knots, self.window.speed_output)
-            for (history, path, late), knots in zip(self._readings(), self._loads, strict=True)
-        )
+        unknowns = self.starts.shape[1]
+        return tuple(slopes[:, :unknowns] for slopes in self.derivatives)
 
-    @cached_property
+    @property
     def by_parameter(self) -> Array:
         """Derivatives by the logarithms of the parameters, shape (reading, parameter)."""
-        return np.concatenate(
-            [
-                slope
-                for _, path, late in self._readings()
-                for slope in _by_parameter(path, late, self.by_logarithm, self.window.speed_output)
-            ]
-        )
+        unknowns = self.starts.shape[1]
+        return np.concatenate([slopes[:, unknowns:] for slopes in self.derivatives])
 
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""
@@ -333,30 +339,29 @@ def _residuals(
     return current, late.is_covered * output.unit_a_s * off
 
 
-def _by_start(
-    history: History,
+def _derivatives(
     path: Run,
     late: LateReadings | None,
-    knots: Array | None,
-    output: SpeedOutput | None,
+    load_by_knot: Array | None,
+    by_logarithm: Array,
+    window: Window,
 ) -> Array:
-    """Derivatives of a history's readings by its unknowns, shape (reading, unknown)."""
+    """Derivatives of a history's readings, shape (reading, unknown + parameter)."""
+    output, count = window.speed_output, path.states.shape[0]
+    unknowns = STATES if output is None else output.unknowns
+    outputs = 1 if output is None or late is None else len(State)
+    result = np.zeros((outputs, count, unknowns + by_logarithm.shape[1]))
+    result[:, :, :STATES] = path.slopes[:, :outputs, :STATES].swapaxes(0, 1)
+    result[:, :, unknowns:] = path.slopes[:, :outputs, STATES:].swapaxes(0, 1) @ by_logarithm
     if output is None or late is None:
-        return path.slopes[:, State.CURRENT, :STATES]
-    counts = (late.is_covered * output.unit_a_s)[:, None]
-    speed = counts * late.speed_by_unknown(path, history.interval_s, knots)
-    return np.concatenate([current_by_unknown(path, knots), speed])
-
-
-def _by_parameter(
-    path: Run, late: LateReadings | None, by_logarithm: Array, output: SpeedOutput | None
-) -> tuple[Array, ...]:
-    """Derivatives of a history's readings by the logarithms, one array an output."""
-    current = path.slopes[:, State.CURRENT, STATES:] @ by_logarithm
-    if output is None or late is None:
-        return (current,)
-    speed = late.of_signal(path.slopes[:, State.SPEED, STATES:] @ by_logarithm)
-    return current, (late.is_covered * output.unit_a_s)[:, None] * speed
+        return result[State.CURRENT]
+    if load_by_knot is not None:
+        result[:, :, LOADS.start : unknowns] = load_by_knot.swapaxes(0, 1)
+    speed = late.of_signal(result[State.SPEED])
+    speed[:, LAG] = late.by_lag(path.states[:, State.SPEED])
+    speed *= (late.is_covered * output.unit_a_s)[:, None]
+    result[State.SPEED] = speed
+    return result.reshape(outputs * count, -1)
 
 
 def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Array:

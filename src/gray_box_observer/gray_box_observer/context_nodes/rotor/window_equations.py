@@ -77,25 +77,24 @@ class Equations:
                 every history beforehand.
             start_pull: shape (history, unknown): what is expected less what they are.
         """
-        by_parameter = runs.by_parameter
-        weighted_rows = by_parameter * weights[:, None]
-        information = weighted_rows.T @ by_parameter
-        right = weighted_rows.T @ runs.residual_a
-        count, parameters = len(runs.by_start), by_parameter.shape[1]
-        unknowns = start_pull.shape[1]
+        count, unknowns = start_pull.shape
+        parameters = runs.by_logarithm.shape[1]
+        own, others = slice(0, unknowns), slice(unknowns, None)
+        information, right = np.zeros((parameters, parameters)), np.zeros(parameters)
         gain, level = np.zeros((count, unknowns, parameters)), np.zeros((count, unknowns))
         begin = 0
-        for row, by_start in enumerate(runs.by_start):
-            own = slice(begin, begin + by_start.shape[0])
-            begin = own.stop
-            weighted_slopes = (by_start * weights[own, None]).T
-            inner = weighted_slopes @ by_start + start_precision[row]
-            across = weighted_slopes @ by_parameter[own]
-            pull = weighted_slopes @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
-            gain[row] = shortest_solution(inner, across)
-            level[row] = shortest_solution(inner, pull)
-            information = information - across.T @ gain[row]
-            right = right - across.T @ level[row]
+        for row, slopes in enumerate(runs.derivatives):
+            readings = slice(begin, begin + slopes.shape[0])
+            begin = readings.stop
+            weighted_slopes = (slopes * weights[readings, None]).T
+            products = weighted_slopes @ slopes
+            pulls = weighted_slopes @ runs.residual_a[readings]
+            inner, across = products[own, own] + start_precision[row], products[own, others]
+            pull = pulls[own] + start_precision[row] @ start_pull[row]
+            solution = shortest_solution(inner, np.column_stack([across, pull]))
+            gain[row], level[row] = solution[:, :-1], solution[:, -1]
+            information += products[others, others] - across.T @ gain[row]
+            right += pulls[others] - across.T @ level[row]
         return cls(information, right, gain, level)
 
     def start_steps(self, step: Array, own: float = 1.0) -> Array:
