@@ -41,7 +41,7 @@ class Sample:
     speed_rad_s: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """Consecutive samples: `stamp_ns` is (sample,), the rest (motor, sample); see `Sample`."""
 

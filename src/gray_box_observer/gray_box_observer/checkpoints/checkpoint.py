@@ -54,7 +54,7 @@ FIXED_BYTES = 16 << 20
 """Bytes that a checkpoint of one motor may have beside its samples."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Snapshot:
     """What was learnt at one moment; nothing in it moves on.
 

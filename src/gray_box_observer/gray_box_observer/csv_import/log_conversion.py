@@ -83,7 +83,7 @@ class CsvSummary:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Motor:
     """One motor's signals.  shape of each: (row,)."""
 

@@ -46,7 +46,7 @@ class TableShape:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Columns:
     """Some columns of a log.
 

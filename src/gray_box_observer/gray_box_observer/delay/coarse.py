@@ -24,7 +24,7 @@ OUTLIERS = 5
 """So many of the largest currents may be outliers; nothing counts as larger than twice the next."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Profile:
     """Residual against delay.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -166,7 +167,7 @@ class FineSearch:
         self._residual = self._state - self._path.state
         self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)[:, None]
 
-    @property
+    @cached_property
     def _valid(self) -> NDArray[np.bool_]:
         return np.concatenate([np.ones((1, 1), dtype=bool), ~self._restart], axis=1)
 
@@ -204,7 +205,7 @@ class FineSearch:
         paths = []
         for side in (-0.25, 0.25):
             stretch = self._stretch(self._delay_s + side * self._interval_s)
-            maps = linearise(self._white_box, self._p, stretch, self._about)
+            maps = linearise(self._white_box, self._p, stretch, self._about).motion
             paths.append(follow(maps, stretch, self._first, self._gains).state)
         slope: Array = (paths[1] - paths[0]) / 0.5
         return slope
@@ -212,6 +213,7 @@ class FineSearch:
     def _choose_gain(self) -> bool:
         """Take the gain that explains the signals best, if the evidence is clear."""
         self._evaluate()
+        self._maps = self._maps.motion
         stretch = self._stretch(self._delay_s)
         least, count = self._spread(), float(np.sum(self._valid))
         best_gain = 0.0

@@ -37,7 +37,7 @@ CHANGE_AT = ((0.5,), (0.25, 0.5, 0.75))
 find that something is wrong, more to say what (:attr:`Scene.fine`)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Basis of the shapes; every array has shape (k,), one entry per interval.
 
@@ -73,7 +73,7 @@ Shapes = tuple[Array, ...]
 """Voltages that only come together, shape (k,) each."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Effect:
     """One effect.
 

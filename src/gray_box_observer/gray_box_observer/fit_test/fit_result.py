@@ -19,7 +19,7 @@ PASSING = 3
 """Misfits in a row that may be those of a motor that is changing: any good test overrules them."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitResult:
     """What a motor's newest test has left.
 

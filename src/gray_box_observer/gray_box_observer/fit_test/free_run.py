@@ -49,7 +49,7 @@ OUTLIER = 6.0
 """Standard deviations beyond which a reading corrects no state after a restart."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeRun:
     """Free run of one motor over k + 1 samples.
 
@@ -178,10 +178,9 @@ def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[
     the voltage. A run that begins anew behind every move would test the held levels alone, and
     these tell nothing of the inductance.
     """
-    valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
     change = residual[:, 1:] - path.factor * residual[:, :-1]
     sharp = np.minimum(
-        robust_std(residual, valid), robust_std(change, ~stretch.restart) / np.sqrt(2.0)
+        robust_std(residual, stretch.valid), robust_std(change, ~stretch.restart) / np.sqrt(2.0)
     )
     kicks = find_kicks(path, residual, ~stretch.restart, np.maximum(sharp, 1e-12))
     count = int(kicks.sum())

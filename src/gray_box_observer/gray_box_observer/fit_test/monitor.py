@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict, misfit
-from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
@@ -140,29 +138,30 @@ class FitMonitor:
         rows = [row for row, motor in enumerate(motors.tolist()) if motor in self._limited_motors]
         if not rows:
             return estimate
-        covariance = estimate.covariance
-        verdicts = list(estimate.verdicts)
+        covariance, verdicts = estimate.covariance, list(estimate.verdicts)
         for row in rows:
             motor = int(motors[row])
             result = self._results[motor]
             if result is None:
                 verdicts[row] = tuple(map(_at_most_converging, verdicts[row]))
                 continue
-            if result.judgement.widens:
+            judgement = result.judgement
+            if judgement.widens:
                 covariance = covariance.copy() if covariance is estimate.covariance else covariance
-                covariance[row] = _wider(
-                    result.judgement, estimate.value[row], estimate.covariance[row]
-                )
-                std = np.sqrt(np.diagonal(covariance[row]))[None]
-                is_frozen = Verdict.FROZEN in verdicts[row]
-                value = estimate.value[row : row + 1]
-                most = _largest_shares(nodes, motor, value[0], result.judgement)[None]
+                value = estimate.value[row]
+                covariance[row] = _wider(judgement, value, covariance[row])
                 verdicts[row] = nodes.verdict_rules.judge(
-                    estimate.parameters, value, std, is_frozen=is_frozen, most=most
+                    estimate.parameters,
+                    value[None],
+                    np.sqrt(covariance[row].diagonal())[None],
+                    is_frozen=Verdict.FROZEN in verdicts[row],
+                    most=_largest_shares(nodes, motor, value, judgement)[None],
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(misfit, verdicts[row]))
-        return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
+        return Estimate(
+            estimate.stamp_ns, estimate.parameters, estimate.value, covariance, tuple(verdicts)
+        )
 
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
@@ -195,15 +194,15 @@ def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: J
     The bound is wider by the spread of the estimate.
     """
     share, reach = nodes.voltage_shares(motor)
-    shift = SIGMAS * np.sqrt(np.diagonal(judgement.spread))
-    wider: Array = (1.0 + shift) * value * share + reach * judgement.factor
+    wider: Array = judgement.stretch * value * share + reach * judgement.factor
     return np.where(share > 0.0, wider, np.inf)
 
 
 def _wider(judgement: Judgement, value: Array, covariance: Array) -> Array:
     """Return the covariance that a judgement leaves, shape (parameter, parameter)."""
-    by_factor = covariance * judgement.factor[:, None] * judgement.factor
-    wider: Array = by_factor + judgement.spread * value[:, None] * value
+    wider: Array = covariance * judgement.factors + judgement.spread * np.multiply.outer(
+        value, value
+    )
     return wider
 
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, bandwidth
 from gray_box_observer.white_box.interface import Array
@@ -107,7 +109,7 @@ squared."""
 LARGEST_FACTOR = 1e3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Judgement:
     """What follows from a residual analysis for one motor.
 
@@ -122,10 +124,20 @@ class Judgement:
     factor: Array
     spread: Array
 
-    @property
+    @cached_property
     def widens(self) -> bool:
         """Whether an estimate knows less than its rule says."""
         return bool((self.factor > 1.0).any() or self.spread.any())
+
+    @cached_property
+    def factors(self) -> Array:
+        """Shape (parameter, parameter): by which covariances grow."""
+        return np.multiply.outer(self.factor, self.factor)
+
+    @cached_property
+    def stretch(self) -> Array:
+        """Shape (parameter,): times its value that a parameter may be."""
+        return np.asarray(1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread)), dtype=float)
 
 
 def judge(

@@ -61,7 +61,7 @@ SMALLEST = 1e-12
 """The same in A, where no current flows."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EffectScore:
     """Robust score test of one effect.
 
@@ -76,7 +76,7 @@ class EffectScore:
     shift: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ResidualAnalysis:
     """What the residual of one motor's free run says.
 

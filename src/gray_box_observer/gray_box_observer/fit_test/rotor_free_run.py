@@ -18,7 +18,7 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RotorFreeRun(FreeRun):
     """Free run of a motor with a rotor over k + 1 samples.
 

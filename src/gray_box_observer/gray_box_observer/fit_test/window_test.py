@@ -70,7 +70,7 @@ CLEARLY, VERY_CLEARLY = 30.0, 300.0
 small residual; else the free run is asked."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MotorUnderTest:
     """A motor, as it is when it is tested.
 

@@ -35,7 +35,7 @@ RIDGE = 1e-12
 break them."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class StaticMap:
     """Torque as an affine function of voltage and speed, by least squares.
 

@@ -89,7 +89,7 @@ class TrialOutcome:
     kind: FormKind | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TrialStart:
     """What a trial begins with.
 

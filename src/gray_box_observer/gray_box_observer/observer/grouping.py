@@ -33,7 +33,7 @@ Values = Sequence[float] | Array
 """Values of a message, one a name."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Part:
     """What a message says of a group.
 

@@ -38,7 +38,7 @@ MAX_MOTORS = 16
 """Of a larger group, the state of so many motors is written."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Incident:
     """What has stopped some motors that are computed together.
 

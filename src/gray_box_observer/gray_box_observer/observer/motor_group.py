@@ -69,7 +69,7 @@ class Result(NamedTuple):
     speed: SpeedEstimate | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class GroupResult:
     """What one sample of a group has led to; iterating gives it motor by motor.
 

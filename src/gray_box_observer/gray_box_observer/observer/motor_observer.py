@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # loaded where something is predicted
     from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class DeferredUpdate:
     """Work left over by a sample after its estimates; see :meth:`MotorObserver.run_deferred`.
 

@@ -10,7 +10,7 @@ from gray_box_observer.predictor.steady_state import Course
 from gray_box_observer.white_box.interface import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ForecastRequest:
     """One interval whose end is asked for.
 

@@ -74,7 +74,7 @@ def features(
     return columns
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LinearPart:
     """A weighted sum.
 

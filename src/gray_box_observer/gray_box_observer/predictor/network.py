@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 """Which motors, shape (motor,)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Weights:
     """Weights of the network; gates stand in the order input, forget, cell, output.
 
@@ -191,7 +191,7 @@ def _shapes(hidden: int, inputs: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Memory:
     """The network's memory: hidden and cell state, each (motor, hidden), in either order."""
 

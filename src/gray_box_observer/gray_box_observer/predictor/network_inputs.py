@@ -32,7 +32,7 @@ class Variant(str, Enum):
         return self is not Variant.SUPERVISED
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class InputLayout:
     """Columns of the network's input: voltage, speed where measured, then theta.
 

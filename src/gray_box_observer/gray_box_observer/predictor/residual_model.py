@@ -56,7 +56,7 @@ SHORTEST_S = 1e-12
 """Time between two samples that a correction was learnt at: stamps are whole nanoseconds."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ResidualModel:
     """A learnt correction.
 
@@ -199,7 +199,7 @@ def cells(signal: Array) -> Any:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Recollection:
     """What a correction remembers: the network's memory, and the traces of the signals."""
 

@@ -46,7 +46,7 @@ PIECES = 32
 """Equal parts of a long forecast, at most: every part has a bounded number of steps."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RotorPrediction(Prediction):
     """What is expected of the next torque sample of a motor with a rotor.
 

@@ -25,7 +25,7 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """What is expected of the next torque sample, with what has to be remembered if it comes.
 

@@ -39,7 +39,7 @@ Event = tuple[Literal['voltage', 'torque', 'speed'], int, tuple[float, ...]]
 """Signal, stamp in ns, and its values as :class:`Pairing` takes them."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RawSignals:
     """Voltage and torque of one motor over a stretch of time, each with stamps of its own.
 

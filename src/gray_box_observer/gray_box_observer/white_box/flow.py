@@ -79,7 +79,7 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
     return log_covariance * theta[:, :, None] * theta[:, None, :]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Interval:
     """Intervals, or equal parts of them, with their signals; fields of shape (motor, k).
 

@@ -93,7 +93,7 @@ class OutputNoise:
         return self.current_a / self.speed_rad_s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OutputFit:
     """Where the fit of both outputs has ended.
 
@@ -188,7 +188,7 @@ def fit_outputs(
     return walk_fit if walk_fit is not None and walk_fit.explains else steady
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitBefore:
     """What a fit of the window before has left.
 

@@ -27,7 +27,7 @@ def address(array: NDArray[Any]) -> int:
             raise ValueError('compiled code needs arrays without gaps')
         return array.ctypes.data
     try:
-        return ctypes.addressof(_Nothing.from_buffer(array))
+        return ctypes.addressof(_Nothing.from_buffer(array))  # type: ignore[arg-type]
     except TypeError:
         raise ValueError('compiled code needs arrays without gaps') from None
 

@@ -274,9 +274,7 @@ class RegularBlocks:
         if self._library is None:
             return state, status
         state = self._point(state, next_update_at, is_block_update)
-        self._library.learn_blocks(
-            self._update, address(motors), motors.size, address(status)
-        )
+        self._library.learn_blocks(self._update, address(motors), motors.size, address(status))
         return state, status
 
     def learn_due(

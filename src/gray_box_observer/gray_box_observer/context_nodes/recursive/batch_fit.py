@@ -72,7 +72,7 @@ RAMP_EVIDENCE = 12.0
 stretch."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Result of a fit.
 
@@ -217,25 +217,27 @@ class _Search:
         search._begin()
         for iteration in range(MAX_STEPS):
             search._evaluate(robust=iteration >= plain_steps)
-            worse = ~(search._scale <= 2.0 * search._best_scale) & (iteration > 0)
-            if np.any(worse):  # stepped too far: back, and shorter
-                search._go_back(worse)
-                if np.all(worse):
+            advances = (search._scale <= 2.0 * search._best_scale) | (iteration == 0)
+            if not advances.all():  # stepped too far: back, and shorter
+                search._go_back(~advances)
+                if not advances.any():
                     continue
-            less_damping = np.minimum(1.0, RECOVERY * search._damping)
-            search._damping = np.where(worse, search._damping, less_damping)
-            best = ~worse & (search._scale < search._best_scale)
-            search._best_p = np.where(best[:, None], search._p, search._best_p)
-            search._best_scale = np.where(
-                worse, search._best_scale, np.minimum(search._scale, search._best_scale)
-            )
-            there = ~worse & search._step(~worse)
+            search._keep_best(advances)
+            there = advances & search._step(advances)
             if iteration > plain_steps and np.any(there):
                 converged_searches.append(search.select(there))
                 if np.all(there):
                     return converged_searches
                 search = search.select(~there)
         return [*converged_searches, search]
+
+    def _keep_best(self, advances: NDArray[np.bool_]) -> None:
+        """Keep the best coordinates so far of some motors, and let their steps be longer again."""
+        longer = np.minimum(1.0, RECOVERY * self._damping)
+        self._damping = np.where(advances, longer, self._damping)
+        best = advances & (self._scale < self._best_scale)
+        self._best_p = np.where(best[:, None], self._p, self._best_p)
+        self._best_scale = np.where(best, self._scale, self._best_scale)
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:
         """Return some motors to their best coordinates so far, with smaller steps from there."""
@@ -265,7 +267,9 @@ class _Search:
                 gain = self._gains()
             self._predict(self._maps, gain * near)
             near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
-        self._weights = (self._stretch.valid & near if robust else self._stretch.valid) / (1.0 + self._loose)
+        self._weights = (self._stretch.valid & near if robust else self._stretch.valid) / (
+            1.0 + self._loose
+        )
 
     def _gains(self) -> Array:
         """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
@@ -293,7 +297,8 @@ class _Search:
         jacobian = frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
         if not (np.isfinite(information).all() and np.isfinite(right).all()):
-            finite = np.isfinite(information).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+            finite: NDArray[np.bool_] = np.all(np.isfinite(information), axis=(1, 2))
+            finite &= np.all(np.isfinite(right), axis=1)
             information = np.where(
                 finite[:, None, None], information, 0.0
             )  # numbers no float can square say nothing
@@ -338,12 +343,11 @@ class _Search:
         """Adopt the gain that explains the window best, on clear evidence; tell where not 0."""
         count = np.sum(self._weights, axis=1)
         trust, restart_gain = self._weights > 0.0, taken_over(self._loose)
+        maps = self._maps.motion
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
-            path = follow(
-                self._maps, self._stretch, self._first, np.maximum(gain, restart_gain) * trust
-            )
+            path = follow(maps, self._stretch, self._first, np.maximum(gain, restart_gain) * trust)
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
@@ -375,7 +379,9 @@ class _Search:
             transfer[:, 0, 1:],
         )
         restarts = np.sum(self._stretch.restart, axis=1)
-        left_out = np.sum(self._stretch.valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
+        left_out = (
+            np.sum(self._stretch.valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
+        )
         linear = linear_std(self._frame.p, self._information, self._noise)
         return Fit(belief, self._ramp(), left_out.astype(float), linear)
 

@@ -19,7 +19,7 @@ from gray_box_observer.safe_io.saved_state import (
 from gray_box_observer.white_box.interface import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prior:
     """What is believed before the data: every coordinate log-normal.
 
@@ -63,7 +63,7 @@ class Prior:
         return replace(self, covariance=self.covariance + spread @ spread.T)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Belief:
     """State and coordinates at a sample; what a fit gives and the recursion carries on.
 

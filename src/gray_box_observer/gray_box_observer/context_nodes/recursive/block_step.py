@@ -40,7 +40,7 @@ from gray_box_observer.white_box.flow import within_bounds
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """One predicted block: arrays of shape (motor, k), Jacobian (motor, k, unknown).
 

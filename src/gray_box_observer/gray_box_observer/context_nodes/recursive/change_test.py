@@ -95,7 +95,7 @@ class ChangeTest:
         return (scores, all_information), alarm, _MEMORIES[over.argmax(axis=1)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Change:
     """One kind of change.
 

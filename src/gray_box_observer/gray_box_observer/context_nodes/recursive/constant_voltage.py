@@ -61,7 +61,7 @@ VAGUE = 0.1
 with a mere level."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HoldState:
     """Where every motor stands; every array of shape (motor, ...).
 

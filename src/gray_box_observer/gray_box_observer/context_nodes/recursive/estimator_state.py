@@ -16,7 +16,7 @@ from gray_box_observer.white_box.interface import Array
 _T = TypeVar('_T')
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class EstimatorState:
     """State of the recursion; every entry of shape (motor, ...).
 

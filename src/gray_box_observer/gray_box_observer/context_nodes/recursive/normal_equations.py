@@ -34,7 +34,7 @@ LEAST_EIGENVALUE = 1e-12
 """Of a matrix of correlations: smaller ones are rounding."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scaling:
     """Units of the unknowns: ``current_a`` for the first state, present values for the rest.
 

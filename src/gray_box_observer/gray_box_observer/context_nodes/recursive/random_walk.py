@@ -33,7 +33,7 @@ def heating(parameters: tuple[Parameter, ...]) -> Array:
     return np.array([float(p.heats) for p in parameters])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Walk:
     """Freedom to drift: log-variance per second of the coordinates, zero without drift.
 
@@ -51,7 +51,7 @@ class Walk:
         return spread
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Jump:
     """One sudden change.
 
@@ -118,7 +118,7 @@ def select_rate(
     return rate, best
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fitted:
     """How well the blocks of a stretch were predicted; every array of shape (block, motor).
 

@@ -15,7 +15,7 @@ from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.interface import WhiteBox
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class MotorSelection:
     """What a piece of work is done to.
 

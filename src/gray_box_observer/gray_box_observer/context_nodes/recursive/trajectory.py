@@ -66,7 +66,7 @@ LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SampleWindow:
     """Samples 0 ... k of a group of motors.
 
@@ -104,7 +104,8 @@ class SampleWindow:
     @cached_property
     def far_away(self) -> Array:
         """Size that no current of these samples has, shape (motor, 1)."""
-        return FAR * (np.abs(self.state).max(axis=1, keepdims=True) + 1e-9)
+        largest: Array = np.abs(self.state).max(axis=1, keepdims=True)
+        return FAR * (largest + 1e-9)
 
     def restarted(self, at: NDArray[np.bool_]) -> SampleWindow:
         """Return the stretch with further restarts, shape (motor, k)."""
@@ -168,7 +169,7 @@ class SampleWindow:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """The stretch under given coordinates, and how it would move with them.
 
@@ -194,7 +195,7 @@ class Trajectory:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linearised:
     """Every interval's flow as an affine map of the state at its start and of the coordinates.
 
@@ -207,6 +208,11 @@ class Linearised:
     decay: Array
     offset: Array
     by_coordinate: Array
+
+    @property
+    def motion(self) -> Linearised:
+        """The map of the state alone: a trajectory of it has no derivatives by coordinates."""
+        return replace(self, by_coordinate=self.by_coordinate[:0])
 
     def select(self, index: NDArray[np.intp]) -> Linearised:
         """Return the intervals of the chosen motors."""

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, by_knot
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 
 LAG = STATES
@@ -81,7 +80,7 @@ def load_over_intervals(unknowns: Array, interval_s: Array) -> Array | None:
     return np.asarray(np.interp(places, np.arange(loads.size), loads), dtype=float)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LateReadings:
     """When a speed sensor that lags reads, along a history.
 

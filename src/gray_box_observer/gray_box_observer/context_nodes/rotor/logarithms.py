@@ -11,7 +11,7 @@ from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.white_box.interface import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogPrior:
     """What is believed of the logarithms of the parameters: Gaussian.
 

@@ -53,7 +53,7 @@ HELD = 0.01
 settled tells its level alone, which says nothing of any parameter."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fitting:
     """A fit under way.
 

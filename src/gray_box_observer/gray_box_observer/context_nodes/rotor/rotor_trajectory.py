@@ -62,7 +62,7 @@ MANY_STEPS, SAME_LENGTH = 16, 1e-6
 share by which a length is another."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """Where k intervals lead.
 

@@ -43,7 +43,7 @@ RateAt = Callable[[Any], Linear]
 """Rate at given states."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Level:
     """A straight motion over one length.
 
@@ -81,7 +81,7 @@ class Level:
         return Level(self.state @ self.state, self.rate + self.state @ self.rate, slope)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StraightMotion:
     """Straight motions over a length, its half, its quarter, and so on.
 

@@ -69,7 +69,7 @@ class History:
     place: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Window:
     """Samples of one motor.
 
@@ -180,7 +180,7 @@ class Window:
         return np.array([REACH[0] * largest, REACH[1] * fastest])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeRuns:
     """Free runs through every history of a window, at given values.
 
@@ -354,7 +354,7 @@ def _derivatives(
     result[:, :, :STATES] = path.slopes[:, :outputs, :STATES].swapaxes(0, 1)
     result[:, :, unknowns:] = path.slopes[:, :outputs, STATES:].swapaxes(0, 1) @ by_logarithm
     if output is None or late is None:
-        return result[State.CURRENT]
+        return result.reshape(count, -1)
     if load_by_knot is not None:
         result[:, :, LOADS.start : unknowns] = load_by_knot.swapaxes(0, 1)
     speed = late.of_signal(result[State.SPEED])

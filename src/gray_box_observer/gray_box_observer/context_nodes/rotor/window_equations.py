@@ -47,7 +47,7 @@ def start_precision(window: Window, start_std: Array) -> Array:
     return np.stack([output.precision(start_std, one.interval_s) for one in window.histories])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equations:
     """Normal equations of the parameters, the first states eliminated.
 

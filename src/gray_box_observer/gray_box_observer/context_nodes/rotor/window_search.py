@@ -87,7 +87,7 @@ ROUGHLY, NEARLY = Accuracy(0.3, 0.3), Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SearchEnd:
     """Where a search has ended.
 

@@ -18,7 +18,7 @@ SHORTEST = 24
 """Samples of the newest history, at least, by which networks are compared."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class History:
     """Consecutive samples of a group of motors, all but the first, which is where they start.
 

@@ -25,7 +25,7 @@ EXACT = 0.1
 """Step of the flow that is taught, see :data:`relaxation.FLOW_STEP`."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TrainingBatch:
     """Intervals along the network's own prediction, each with where the white box would have gone.
 

@@ -69,7 +69,7 @@ STEPS = 150
 """Training steps of a round."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Run:
     """Signal histories in a row with what the physics says of them; arrays of (motor, time).
 
@@ -91,7 +91,7 @@ class _Run:
     residual_a: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PhysicsRun:
     """What the physics says along one signal history; arrays of (motor, time).
 

@@ -34,7 +34,7 @@ WORTH = 32.0
 SIGNALS = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Segment:
     """Consecutive samples.
 

@@ -33,7 +33,7 @@ FAMILY = MotorWhiteBox(('inductance', 'resistance', 'hysteresis', 'brush_drop'),
 others straight."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Sequences:
     """Sequences of intervals, each of a motor of its own.
 
