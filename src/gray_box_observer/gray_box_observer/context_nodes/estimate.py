@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
@@ -74,9 +75,8 @@ class Estimate:
     @property
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
-        finite_count = int(np.count_nonzero(np.isfinite(self.value)))
-        finite_count += int(np.count_nonzero(np.isfinite(self.covariance)))
-        return finite_count == self.value.size + self.covariance.size
+        finite = [np.isfinite(numbers) for numbers in (self.value, self.covariance)]
+        return all(bool(np.logical_and.reduce(flags, axis=None)) for flags in finite)
 
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
@@ -206,17 +206,31 @@ class VerdictSettings:
         """
         if is_frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
-        limits = _inner_bounds(parameters, self.bound_tolerance)
-        shares = itertools.repeat(itertools.repeat(math.inf)) if most is None else most.tolist()
+        shares = itertools.repeat(None) if most is None else most.tolist()
         return tuple(
-            tuple(map(self._judge_one, values, stds, limits, own_shares))
+            self.judge_motor(parameters, values, stds, own_shares)
             for values, stds, own_shares in zip(value.tolist(), std.tolist(), shares, strict=False)
         )
+
+    def judge_motor(
+        self,
+        parameters: tuple[Parameter, ...],
+        values: Sequence[float],
+        stds: Sequence[float],
+        most: Sequence[float] | None = None,
+    ) -> tuple[Verdict, ...]:
+        """Judge every parameter of one motor that learns, in plain numbers: these are few.
+
+        Arguments are those of :meth:`judge`, of one motor.
+        """
+        limits = _inner_bounds(parameters, self.bound_tolerance)
+        shares = itertools.repeat(math.inf) if most is None else most
+        return tuple(map(self._judge_one, values, stds, limits, shares))
 
     def _judge_one(
         self, value: float, std: float, limits: tuple[float, float], most: float
     ) -> Verdict:
-        """Judge one parameter: mostly there are few, and plain numbers are the fastest then."""
+        """Judge one parameter, between its limits."""
         is_inside = not (value <= limits[0] or value >= limits[1])
         is_excited = std <= self.excited_relative_std * value
         if is_inside and is_excited and std <= self.identified_relative_std * value:

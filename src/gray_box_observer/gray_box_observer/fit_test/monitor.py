@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,7 +23,6 @@ from gray_box_observer.fit_test.saved_test import check_saved_test
 from gray_box_observer.fit_test.window_test import RECENT, WINDOW, MotorUnderTest, WindowTest
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.interface import Array
 
 _UNTESTED = FitAssessment()
 
@@ -145,18 +145,11 @@ class FitMonitor:
             if result is None:
                 verdicts[row] = tuple(map(_at_most_converging, verdicts[row]))
                 continue
-            judgement = result.judgement
-            if judgement.widens:
+            if result.judgement.widens:
                 covariance = covariance.copy() if covariance is estimate.covariance else covariance
-                value = estimate.value[row]
-                covariance[row] = _wider(judgement, value, covariance[row])
-                verdicts[row] = nodes.verdict_rules.judge(
-                    estimate.parameters,
-                    value[None],
-                    np.sqrt(covariance[row].diagonal())[None],
-                    is_frozen=Verdict.FROZEN in verdicts[row],
-                    most=_largest_shares(nodes, motor, value, judgement)[None],
-                )[0]
+                covariance[row], verdicts[row] = _limited(
+                    nodes, motor, result.judgement, estimate, row
+                )
             if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(misfit, verdicts[row]))
         return Estimate(
@@ -188,22 +181,19 @@ class FitMonitor:
         self.schedule.restore(plain, motor, received_count, result)
 
 
-def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
-    """Upper bound on each parameter's share of the voltage, shape (parameter,).
-
-    The bound is wider by the spread of the estimate.
-    """
+def _limited(
+    nodes: ContextUpdate, motor: int, judgement: Judgement, estimate: Estimate, row: int
+) -> tuple[list[list[float]], tuple[Verdict, ...]]:
+    """Return the covariance and the verdicts that a judgement leaves of a row of an estimate."""
+    values = estimate.value[row].tolist()
+    covariance = judgement.widened(values, estimate.covariance[row].tolist())
+    if Verdict.FROZEN in estimate.verdicts[row]:
+        return covariance, estimate.verdicts[row]
+    variances = [part[place] for place, part in enumerate(covariance)]
+    stds = [math.sqrt(x) if x >= 0.0 else math.nan for x in variances]
     share, reach = nodes.voltage_shares(motor)
-    wider: Array = judgement.stretch * value * share + reach * judgement.factor
-    return np.where(share > 0.0, wider, np.inf)
-
-
-def _wider(judgement: Judgement, value: Array, covariance: Array) -> Array:
-    """Return the covariance that a judgement leaves, shape (parameter, parameter)."""
-    wider: Array = covariance * judgement.factors + judgement.spread * np.multiply.outer(
-        value, value
-    )
-    return wider
+    most = judgement.largest_shares(values, share.tolist(), reach.tolist())
+    return covariance, nodes.verdict_rules.judge_motor(estimate.parameters, values, stds, most)
 
 
 def _at_most_converging(verdict: Verdict) -> Verdict:

@@ -130,14 +130,40 @@ class Judgement:
         return bool((self.factor > 1.0).any() or self.spread.any())
 
     @cached_property
-    def factors(self) -> Array:
-        """Shape (parameter, parameter): by which covariances grow."""
-        return np.multiply.outer(self.factor, self.factor)
+    def _plain(self) -> tuple[list[float], list[list[float]], list[list[float]], list[float]]:
+        """Factors of standard deviations and covariances, spread, and how far a value may be."""
+        reach = 1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread))
+        factors = np.multiply.outer(self.factor, self.factor)
+        return self.factor.tolist(), factors.tolist(), self.spread.tolist(), reach.tolist()
 
-    @cached_property
-    def stretch(self) -> Array:
-        """Shape (parameter,): times its value that a parameter may be."""
-        return np.asarray(1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread)), dtype=float)
+    def widened(self, values: list[float], covariance: list[list[float]]) -> list[list[float]]:
+        """Return the covariance that it leaves of one motor's, in plain numbers: these are few."""
+        _, factors, spread, _ = self._plain
+        return [
+            [
+                part * factor + share * (value * other)
+                for part, factor, share, other in zip(*of_one, values, strict=True)
+            ]
+            for value, *of_one in zip(values, covariance, factors, spread, strict=True)
+        ]
+
+    def largest_shares(
+        self, values: list[float], share: list[float], reach: list[float]
+    ) -> list[float]:
+        """Return what every parameter takes of the voltage at most.
+
+        Args:
+            values: of one motor's parameters.
+            share: of the voltage, that one unit of each takes; 0 where that is not known.
+            reach: likewise, what may come on top by the spread of the estimate.
+        """
+        factor, _, _, furthest = self._plain
+        return [
+            far * value * own + beyond * grows if own > 0.0 else math.inf
+            for far, value, own, beyond, grows in zip(
+                furthest, values, share, reach, factor, strict=True
+            )
+        ]
 
 
 def judge(
