@@ -164,3 +164,26 @@ def test_no_binding_is_named_by_a_bare_participle() -> None:
             if not place.startswith(EXCEPTIONS.get(word, '?')):
                 found.append(f'{place}:{line}: {word}')
     assert found == []
+
+
+def _array_classes(package: str) -> Iterator[tuple[str, bool]]:
+    """Yield every dataclass with a field that is an array, and whether ``==`` compares fields."""
+    field = re.compile(r'(tuple\[)?(Array|NDArray\[.*\])( \| None)?(, \.\.\.\])?')
+    for name, path in modules(package).items():
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            decorators = [ast.unparse(one) for one in node.decorator_list]
+            fields = [ast.unparse(b.annotation) for b in node.body if isinstance(b, ast.AnnAssign)]
+            has_own = any(isinstance(b, ast.FunctionDef) and b.name == '__eq__' for b in node.body)
+            if any(map(field.fullmatch, fields)) and not has_own:
+                for decorator in decorators:
+                    if decorator.startswith('dataclass'):
+                        yield f'{name}.{node.name}', 'eq=False' not in decorator
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_classes_that_hold_arrays_compare_by_identity(package: str) -> None:
+    classes = dict(_array_classes(package))
+    assert classes
+    assert [name for name, compares_fields in classes.items() if compares_fields] == []

@@ -22,7 +22,7 @@ SPREAD_DURATION_S = 60.0
 SPREAD_RATE_HZ = 100.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """One sample of every motor; arrays have shape (motor,).
 

@@ -30,6 +30,47 @@ def test_a_verdict_follows_from_value_and_standard_deviation(
     assert judged == ((verdict,),)
 
 
+@pytest.mark.parametrize(
+    ('value', 'std', 'most', 'verdict'),
+    [
+        (1.0, 0.01, 1e-3, Verdict.IDENTIFIED),
+        (1.0, 0.1, 1e-3, Verdict.NEGLIGIBLE),
+        (0.1, 1e-9, 1e-3, Verdict.NEGLIGIBLE),
+        (0.1, 1e-9, 1e-2, Verdict.IMPLAUSIBLE),
+        (1.0, 0.1, 1e-2, Verdict.CONVERGING),
+        (1.0, 0.1, float('inf'), Verdict.CONVERGING),
+    ],
+)
+def test_what_takes_little_of_the_voltage_is_negligible_where_it_is_not_identified(
+    value: float, std: float, most: float, verdict: Verdict
+) -> None:
+    motor = [[value]], [[std]], [[most]]
+    judged = VerdictSettings().judge(
+        (PARAMETER,), *map(np.array, motor[:2]), most=np.array([[most]])
+    )
+    assert judged == ((verdict,),)
+    assert VerdictSettings().judge_motor((PARAMETER,), *(rows[0] for rows in motor)) == (verdict,)
+
+
+@pytest.mark.parametrize(
+    ('std', 'most'),
+    [(np.ones((1, 2)), None), (np.ones((3, 2)), np.ones((1, 2))), (np.ones((3, 1)), None)],
+)
+def test_arrays_of_other_shapes_are_not_judged(std: np.ndarray, most: np.ndarray | None) -> None:
+    with pytest.raises(ValueError, match='shorter|longer'):
+        VerdictSettings().judge((PARAMETER,) * 2, np.ones((3, 2)), std, most=most)
+
+
+@pytest.mark.parametrize('broken', [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize('entry', ['value', 'covariance'])
+def test_one_number_that_is_not_finite_is_seen(entry: str, broken: float) -> None:
+    numbers = {'value': np.ones((2, 2)), 'covariance': np.ones((2, 2, 2))}
+    verdicts = ((Verdict.CONVERGING,) * 2,) * 2
+    assert Estimate(0, (PARAMETER,) * 2, *numbers.values(), verdicts).is_finite
+    numbers[entry][1, 0] = broken
+    assert not Estimate(0, (PARAMETER,) * 2, *numbers.values(), verdicts).is_finite
+
+
 def test_frozen_goes_before_every_other_verdict() -> None:
     judged = VerdictSettings().judge(
         (PARAMETER,) * 2, np.ones((3, 2)), np.ones((3, 2)), is_frozen=True

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes.native import interval_motion
+from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.context_nodes.recursive import trajectory
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import flow, to_coordinates
@@ -102,3 +103,37 @@ def test_what_restarts_leave_of_the_variance_is_that_of_numpy(
     monkeypatch.setattr(interval_motion, 'restart_variance', lambda *_: None)
     assert restart.any(axis=1).all()
     assert np.array_equal(compiled, trajectory.restart_variance(decay, restart))
+
+
+@pytest.mark.parametrize('shape', [(5,), (2, 3), (0, 4), ()])
+def test_an_address_is_that_of_the_first_entry(shape: tuple[int, ...]) -> None:
+    array = np.zeros(shape)
+    assert address(array) == array.ctypes.data
+    array.flags.writeable = False
+    assert address(array) == array.ctypes.data
+
+
+@pytest.mark.parametrize(
+    'array',
+    [np.zeros((4, 4))[:, 1], np.zeros((3, 4)).T, np.zeros(6)[::-1], np.broadcast_to(1.0, 3)],
+    ids=['strided', 'transposed', 'backwards', 'broadcast'],
+)
+def test_an_array_in_another_order_has_no_address(array: np.ndarray) -> None:
+    with pytest.raises(ValueError, match='C order without gaps, got an array of shape'):
+        address(array)
+
+
+@pytest.mark.parametrize('gain', [0.0, 0.3])
+def test_the_motion_alone_leads_to_the_same_states(gain: float) -> None:
+    box, p = white_box('thesis', 2)
+    start, voltage, _, _, length = intervals(2, 40, 1e-3)
+    state = np.concatenate([start, start[:, :1]], axis=1)
+    restart = np.zeros((2, 40), dtype=bool)
+    restart[0, 7] = True
+    window = trajectory.SampleWindow(state, voltage, length, np.zeros_like(state), restart)
+    maps = trajectory.linearise(box, p, window, state)
+    gains = np.full_like(state, gain)
+    whole, alone = (trajectory.follow(m, window, state[:, 0], gains) for m in (maps, maps.motion))
+    assert np.array_equal(alone.state, whole.state)
+    assert np.array_equal(alone.by_start, whole.by_start)
+    assert alone.by_coordinate.shape == (0, *state.shape)

@@ -26,6 +26,13 @@ def test_inside_its_bounds_the_solution_is_that_of_the_equations() -> None:
     np.testing.assert_allclose(found[0], FREE, rtol=1e-12)
 
 
+def test_the_limits_of_a_step_are_nobodys_to_change() -> None:
+    assert step_limits(3) is step_limits(3)
+    for limits in step_limits(3):
+        with pytest.raises(ValueError, match='read-only'):
+            limits[0] = 0.0
+
+
 def test_what_is_held_at_a_bound_leaves_the_others_at_their_minimum() -> None:
     right = MATRIX @ FAR
     found = bounded_solution(MATRIX[None], right[None], *LIMITS)[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -75,8 +74,7 @@ class Estimate:
     @property
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
-        finite = [np.isfinite(numbers) for numbers in (self.value, self.covariance)]
-        return all(bool(np.logical_and.reduce(flags, axis=None)) for flags in finite)
+        return bool(np.isfinite(self.value).all() and np.isfinite(self.covariance).all())
 
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
@@ -206,10 +204,10 @@ class VerdictSettings:
         """
         if is_frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
-        shares = itertools.repeat(None) if most is None else most.tolist()
+        shares = [None] * len(value) if most is None else most.tolist()
         return tuple(
             self.judge_motor(parameters, values, stds, own_shares)
-            for values, stds, own_shares in zip(value.tolist(), std.tolist(), shares, strict=False)
+            for values, stds, own_shares in zip(value.tolist(), std.tolist(), shares, strict=True)
         )
 
     def judge_motor(
@@ -224,8 +222,9 @@ class VerdictSettings:
         Arguments are those of :meth:`judge`, of one motor.
         """
         limits = _inner_bounds(parameters, self.bound_tolerance)
-        shares = itertools.repeat(math.inf) if most is None else most
-        return tuple(map(self._judge_one, values, stds, limits, shares))
+        shares = [math.inf] * len(limits) if most is None else most
+        columns = zip(values, stds, limits, shares, strict=True)
+        return tuple(self._judge_one(*column) for column in columns)
 
     def _judge_one(
         self, value: float, std: float, limits: tuple[float, float], most: float

@@ -73,7 +73,7 @@ Shapes = tuple[Array, ...]
 """Voltages that only come together, shape (k,) each."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Effect:
     """One effect.
 

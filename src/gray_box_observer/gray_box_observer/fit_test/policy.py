@@ -130,39 +130,45 @@ class Judgement:
         return bool((self.factor > 1.0).any() or self.spread.any())
 
     @cached_property
-    def _plain(self) -> tuple[list[float], list[list[float]], list[list[float]], list[float]]:
-        """Factors of standard deviations and covariances, spread, and how far a value may be."""
-        reach = 1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread))
-        factors = np.multiply.outer(self.factor, self.factor)
-        return self.factor.tolist(), factors.tolist(), self.spread.tolist(), reach.tolist()
+    def _factors_and_spread(self) -> tuple[list[list[float]], list[list[float]]]:
+        return np.multiply.outer(self.factor, self.factor).tolist(), self.spread.tolist()
+
+    @cached_property
+    def _furthest(self) -> list[float]:
+        """Times its value that a parameter may be, by the spread alone."""
+        furthest: list[float] = (1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread))).tolist()
+        return furthest
 
     def widened(self, values: list[float], covariance: list[list[float]]) -> list[list[float]]:
-        """Return the covariance that it leaves of one motor's, in plain numbers: these are few."""
-        _, factors, spread, _ = self._plain
+        """Return the covariance that it leaves of one motor's, in plain numbers: these are few.
+
+        Args:
+            values: of the parameters.
+            covariance: shape (parameter, parameter).
+        """
+        rows = zip(values, covariance, *self._factors_and_spread, strict=True)
         return [
             [
-                part * factor + share * (value * other)
-                for part, factor, share, other in zip(*of_one, values, strict=True)
+                variance * factor + spread * (value * other)
+                for variance, factor, spread, other in zip(*row, values, strict=True)
             ]
-            for value, *of_one in zip(values, covariance, factors, spread, strict=True)
+            for value, *row in rows
         ]
 
     def largest_shares(
         self, values: list[float], share: list[float], reach: list[float]
     ) -> list[float]:
-        """Return what every parameter takes of the voltage at most.
+        """Return what every parameter of a motor takes of the voltage at most.
 
         Args:
-            values: of one motor's parameters.
+            values: of the parameters.
             share: of the voltage, that one unit of each takes; 0 where that is not known.
-            reach: likewise, what may come on top by the spread of the estimate.
+            reach: likewise, what may come on top by the deviation of the estimate.
         """
-        factor, _, _, furthest = self._plain
+        columns = zip(self._furthest, values, share, reach, self.factor.tolist(), strict=True)
         return [
-            far * value * own + beyond * grows if own > 0.0 else math.inf
-            for far, value, own, beyond, grows in zip(
-                furthest, values, share, reach, factor, strict=True
-            )
+            furthest * value * unit + beyond * factor if unit > 0.0 else math.inf
+            for furthest, value, unit, beyond, factor in columns
         ]
 
 

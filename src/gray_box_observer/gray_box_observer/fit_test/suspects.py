@@ -48,7 +48,7 @@ TIED = 2.0
 """Log-likelihood by which explanations must differ to be told apart."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Explanation:
     """One effect beside the parameters, fitted to the voltage balance.
 

@@ -144,13 +144,9 @@ class OutputFit:
         """Return the lag of the speed in the longest history in s, and its standard deviation."""
         sizes = [history.current_a.size for history in self.window.histories]
         row = int(np.argmax(sizes))
-        runs = self.fit.runs
-        ends = np.cumsum([slope.shape[0] for slope in runs.by_start])
-        own = slice(int(ends[row]) - runs.by_start[row].shape[0], int(ends[row]))
-        by_start = runs.by_start[row]
-        others = np.column_stack([np.delete(by_start, LAG, axis=1), runs.by_parameter[own]])
+        of_history = self.fit.runs.derivatives[row]
+        by_lag, others = of_history[:, LAG], np.delete(of_history, LAG, axis=1)
         others /= np.linalg.norm(others, axis=0) + 1e-300
-        by_lag = by_start[:, LAG]
         distinct = by_lag - others @ np.linalg.lstsq(others, by_lag, rcond=1e-12)[0]
         size = float(np.linalg.norm(distinct)) + 1e-300
         return float(self.fit.starts[row, LAG]), self.fit.noise_a / size

@@ -196,7 +196,8 @@ class RegularBlocks:
             end,
             begin,
         )
-        places = [array.ctypes.data for array in self._constant_arrays]  # some have gaps
+        # the samples stand in another order of axes: their strides go along
+        places = [array.ctypes.data for array in self._constant_arrays]
         self._update = _Update(
             coordinates=len(white_box.parameters),
             samples=rules.block,

@@ -35,7 +35,7 @@ class LogPrior:
         return float(off @ self.precision @ off)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Where a search has ended.
 

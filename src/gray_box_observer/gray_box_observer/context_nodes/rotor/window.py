@@ -50,7 +50,7 @@ MOVE = 0.1
 """Share of its range by which a voltage has moved."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class History:
     """Samples between two restarts.
 
@@ -269,13 +269,13 @@ class FreeRuns:
         Shape (reading, unknown) each.
         """
         unknowns = self.starts.shape[1]
-        return tuple(slopes[:, :unknowns] for slopes in self.derivatives)
+        return tuple(of_history[:, :unknowns] for of_history in self.derivatives)
 
     @property
     def by_parameter(self) -> Array:
         """Derivatives by the logarithms of the parameters, shape (reading, parameter)."""
         unknowns = self.starts.shape[1]
-        return np.concatenate([slopes[:, unknowns:] for slopes in self.derivatives])
+        return np.concatenate([of_history[:, unknowns:] for of_history in self.derivatives])
 
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""

@@ -68,7 +68,7 @@ class Equations:
     def from_runs(
         cls, runs: FreeRuns, weights: Array, start_precision: Array, start_pull: Array
     ) -> Equations:
-        """Build them.
+        """Build them; where a number of a history is not finite, none of theirs need be.
 
         Args:
             runs: free runs at the values in question.

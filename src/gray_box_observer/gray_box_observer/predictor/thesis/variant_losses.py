@@ -11,7 +11,7 @@ from gray_box_observer.white_box.dynamics import rate
 from gray_box_observer.white_box.interface import WhiteBox
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Windows:
     """Sequences drawn from the replay buffer, as tensors.
 

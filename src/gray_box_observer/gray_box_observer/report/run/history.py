@@ -84,7 +84,7 @@ class DerivedFigure:
     verdict: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitHistory:
     """Whether the white box explains the data of one motor.
 
