@@ -44,12 +44,10 @@ def test_a_verdict_follows_from_value_and_standard_deviation(
 def test_what_takes_little_of_the_voltage_is_negligible_where_it_is_not_identified(
     value: float, std: float, most: float, verdict: Verdict
 ) -> None:
-    motor = [[value]], [[std]], [[most]]
-    judged = VerdictSettings().judge(
-        (PARAMETER,), *map(np.array, motor[:2]), most=np.array([[most]])
-    )
-    assert judged == ((verdict,),)
-    assert VerdictSettings().judge_motor((PARAMETER,), *(rows[0] for rows in motor)) == (verdict,)
+    rules = VerdictSettings()
+    values, stds, shares = (np.array([[number]]) for number in (value, std, most))
+    assert rules.judge((PARAMETER,), values, stds, most=shares) == ((verdict,),)
+    assert rules.judge_motor((PARAMETER,), [value], [std], [most]) == (verdict,)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +55,7 @@ def test_what_takes_little_of_the_voltage_is_negligible_where_it_is_not_identifi
     [(np.ones((1, 2)), None), (np.ones((3, 2)), np.ones((1, 2))), (np.ones((3, 1)), None)],
 )
 def test_arrays_of_other_shapes_are_not_judged(std: np.ndarray, most: np.ndarray | None) -> None:
-    with pytest.raises(ValueError, match='shorter|longer'):
+    with pytest.raises(ValueError, match=r'is (shorter|longer) than argument'):
         VerdictSettings().judge((PARAMETER,) * 2, np.ones((3, 2)), std, most=most)
 
 
