@@ -34,6 +34,14 @@ class Streams:
         """Place before the oldest sample that counts."""
         return np.zeros_like(motors)
 
+    def received_of(self, motor: int) -> int:
+        """Place of one motor's newest sample."""
+        return int(self.received[motor])
+
+    def begin_of(self, motor: int) -> int:
+        """The same place of one motor."""
+        return 0
+
 
 def estimate_of(motors: int, verdict: Verdict = BELIEVED, factor: float = 1.0) -> Estimate:
     value, covariance = np.tile(factor * THETA, (motors, 1)), np.zeros((motors, 2, 2))
@@ -107,6 +115,34 @@ def test_newest_samples_are_tested_only_of_a_motor_that_has_passed(schedule: Fit
     schedule.follow(0, result_at(1000, FitVerdict.WARNING, LONGEST_WAIT))
     assert schedule.is_stale(late, 0)
     assert not schedule.is_stale(Streams(1, 999 + RECENT_WAIT), 0)
+
+
+@pytest.mark.parametrize('fit', [FitVerdict.OK, FitVerdict.MISFIT, None])
+def test_a_motor_alone_is_asked_as_one_that_comes_with_another(fit: FitVerdict | None) -> None:
+    """Of one motor plain numbers tell mostly that nothing is due; of several it takes arrays."""
+    alone, both = FitSchedule(np.array([FEWEST]), 2), FitSchedule(np.full(2, FEWEST), 2)
+    if fit is not None:
+        for schedule, motor in ((alone, 0), (both, 0), (both, 1)):
+            schedule.follow(motor, result_at(100, fit, 300))
+    for received in (10, FEWEST, UNASKED, 163, 164, 399, 400):
+        for verdict in (BELIEVED, OPEN):
+            for factor in (0.8, 0.95, 1.05, 1.2, np.nan):
+                estimate = estimate_of(2, verdict, factor)
+                expected = both.due(Streams(2, received), estimate, np.arange(2)) == [0]
+                assert is_due(alone, received, verdict, factor) is expected
+
+
+def test_only_what_was_tested_and_fitted_may_wait_for_its_next_test(schedule: FitSchedule) -> None:
+    assert not schedule.is_settled(estimate_of(1))
+    schedule.follow(0, result_at(1000, FitVerdict.OK, 800))
+    assert schedule.is_settled(estimate_of(1))
+    assert schedule.is_settled(estimate_of(1, OPEN, factor=1.2))
+    assert not schedule.is_settled(estimate_of(1, factor=1.2))
+    schedule.follow(0, result_at(1000, FitVerdict.MISFIT, 800))
+    assert not schedule.is_settled(estimate_of(1))
+    schedule.follow(0, result_at(1000, FitVerdict.OK, 800))
+    schedule.forget()
+    assert not schedule.is_settled(estimate_of(1))
 
 
 def test_of_many_motors_who_has_waited_longest_is_tested_first() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from linear_motor_records import (
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.fit_schedule import FitSchedule
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.observer.observer import Observer
 
@@ -245,6 +247,30 @@ def test_a_test_that_changes_nothing_that_is_believed_says_so() -> None:
         changes += group.observer.retested().values()
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
     assert any(changes), 'the estimate that was identified is not any more'
+
+
+@pytest.mark.slow
+def test_results_of_a_motor_that_fits_do_not_wait_for_the_question_whether_a_test_is_due(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    observer = _healthy().observed()
+    group = observer.group_of('motor')
+    assert group.observer is not None
+    group.observer.run_deferred()
+    are_out, asked = [], FitSchedule.due
+
+    def due(schedule: FitSchedule, *arguments: Any) -> list[int]:
+        are_out.append(is_out)
+        return asked(schedule, *arguments)
+
+    monkeypatch.setattr(FitSchedule, 'due', due)
+    is_out = False
+    for _ in _feed_on(observer, _healthy(seed=7)):
+        is_out = True
+        group.observer.run_deferred()
+        is_out = False
+    assert len(are_out) >= SAMPLES // 32
+    assert all(are_out)
 
 
 def _feed_on(observer: Observer, record: Record, later: int = SAMPLES) -> Iterator[None]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,47 @@ MANY = 1024
 NEVER = np.iinfo(np.int64).max
 
 
+class CalmRange(NamedTuple):
+    """Where nothing asks for a test of one motor, in plain numbers: a block asks for them.
+
+    Attributes:
+        due: place in its stream from which a test is due.
+        begin: place before its oldest sample that counted; a later one: it has changed.
+        lowest, highest: between which values its parameters are those that were tested.
+        has_passed: whether it fitted; of such a motor, only parameters that are believed count.
+    """
+
+    due: int
+    begin: int
+    lowest: tuple[float, ...]
+    highest: tuple[float, ...]
+    has_passed: bool
+
+    def includes(self, place: int, begin: int, estimate: Estimate) -> bool:
+        """Tell whether a motor is still there.
+
+        Args:
+            place: of its newest sample.
+            begin: place before its oldest sample that counts.
+            estimate: of this motor alone.
+        """
+        return place < self.due and begin <= self.begin and self.covers(estimate)
+
+    def covers(self, estimate: Estimate) -> bool:
+        """Tell whether the parameters are those that were tested.
+
+        Args:
+            estimate: of this motor alone.
+        """
+        values, verdicts = estimate.value[0].tolist(), estimate.verdicts[0]
+        columns = zip(values, self.lowest, self.highest, verdicts, strict=True)
+        for value, lowest, highest, verdict in columns:
+            is_far = value < lowest or value > highest
+            if is_far and (verdict is Verdict.IDENTIFIED or not self.has_passed):
+                return False
+        return True
+
+
 class FitSchedule:
     """Says when each motor is tested next.
 
@@ -61,6 +102,7 @@ class FitSchedule:
         self._has_result = np.zeros(count, dtype=bool)
         self._has_passed = np.zeros(count, dtype=bool)
         self._movers: frozenset[int] = frozenset()
+        self._calm_ranges = [self._calm_range(motor) for motor in range(count)]
 
     def due(self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
         """Return which of some motors are to be tested now.
@@ -71,7 +113,7 @@ class FitSchedule:
             motors: their places on the motor axis.
         """
         self._movers = frozenset()
-        if motors.size == 1 and self._is_calm(replay, estimate, motors):
+        if motors.size == 1 and self._is_calm(replay, estimate, motors.item()):
             return []
         places, due = replay.received[motors], self._due[motors]
         has_waited, has_changed = places >= due, replay.begin(motors) > self._begin[motors]
@@ -95,20 +137,29 @@ class FitSchedule:
         )
         return list(islice(due_motors, max(1, self._due.size // MANY)))
 
-    def _is_calm(self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]) -> bool:
-        """Tell of one motor, in plain numbers, whether nothing asks for a test: mostly nothing."""
-        motor = motors.item()
-        if replay.received.item(motor) >= self._due.item(motor):
-            return False
-        if replay.begin(motors).item() > self._begin.item(motor):
-            return False
-        has_passed = self._has_passed.item(motor)
-        lowest, highest = self._lowest[motor].tolist(), self._highest[motor].tolist()
-        for j, value in enumerate(estimate.value[0].tolist()):
-            is_far = value < lowest[j] or value > highest[j]
-            if is_far and not (has_passed and estimate.verdicts[0][j] is not Verdict.IDENTIFIED):
-                return False
-        return True
+    def _is_calm(self, replay: ReplayBuffer, estimate: Estimate, motor: int) -> bool:
+        """Tell of one motor, whose estimate this is, whether nothing asks for a test: mostly so."""
+        place, begin = replay.received_of(motor), replay.begin_of(motor)
+        return self._calm_ranges[motor].includes(place, begin, estimate)
+
+    def _calm_range(self, motor: int) -> CalmRange:
+        """Return where nothing asks for a test of one motor."""
+        return CalmRange(
+            self._due.item(motor),
+            self._begin.item(motor),
+            tuple(self._lowest[motor].tolist()),
+            tuple(self._highest[motor].tolist()),
+            bool(self._has_passed[motor]),
+        )
+
+    def is_settled(self, estimate: Estimate) -> bool:
+        """Tell of a group of one motor whether a test that is due can wait for its results.
+
+        Args:
+            estimate: of the motor; what is believed of it is what was tested.
+        """
+        calm_range = self._calm_ranges[0]
+        return calm_range.has_passed and calm_range.covers(estimate)
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
@@ -121,7 +172,7 @@ class FitSchedule:
             replay: samples of all motors.
             motor: its place on the motor axis.
         """
-        wait: int = replay.received.item(motor) - self._tested_at.item(motor)
+        wait: int = replay.received_of(motor) - self._tested_at.item(motor)
         return wait >= RECENT_WAIT and bool(self._has_passed[motor])
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
@@ -162,6 +213,7 @@ class FitSchedule:
     def put_off(self, motor: int, place: int) -> None:
         """Ask again at a place where there may be more to tell by."""
         self._due[motor] = self._soon[motor] = place
+        self._calm_ranges[motor] = self._calm_range(motor)
 
     def follow(self, motor: int, result: FitResult) -> None:
         """Note when a motor is tested next, after what its newest test has left."""
@@ -172,6 +224,7 @@ class FitSchedule:
         self._highest[motor] = result.theta * math.exp(MOVED)
         self._has_result[motor] = True
         self._has_passed[motor] = result.assessment.verdict is not FitVerdict.MISFIT
+        self._calm_ranges[motor] = self._calm_range(motor)
 
     def forget(self, motors: Any = slice(None)) -> None:
         """Start anew with some motors: what was tested is no more."""
@@ -180,6 +233,8 @@ class FitSchedule:
         self._tested_at[motors] = 0
         self._lowest[motors] = self._highest[motors] = np.nan
         self._has_result[motors] = self._has_passed[motors] = False
+        for motor in np.arange(self._due.size)[motors].ravel().tolist():
+            self._calm_ranges[motor] = self._calm_range(motor)
 
     def state(self, motor: int, received_count: int) -> dict[str, Any]:
         """Return when one motor is tested next; places count back from the newest sample."""
@@ -208,6 +263,7 @@ class FitSchedule:
         self._tested_at[motor] = plain.get('tested_at', 0) + received_count
         if plain.get('soon') is not None:
             self._soon[motor] = plain['soon'] + received_count
+        self._calm_ranges[motor] = self._calm_range(motor)
 
 
 def wait_after(before: FitResult | None, verdict: FitVerdict, count: int) -> int:

@@ -117,8 +117,8 @@ class ReplayBuffer:
         if count == 0:
             return
         if self._even and not self._gaps:
-            self._end += count
             self._top += count
+            self._end.fill(self._top)
         else:
             self._scatter(count)
         self._make_room()
@@ -170,6 +170,12 @@ class ReplayBuffer:
         places: NDArray[np.int_] = self._gone_count + self._end
         return places
 
+    def received_of(self, motor: int) -> int:
+        """Return the place of one motor's newest sample in its stream."""
+        self.settle()
+        place: int = self._gone_count.item(motor) + self._end.item(motor)
+        return place
+
     @property
     def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
         """The storage, (signal, motor, column), and each stream's state, shape (motor,).
@@ -183,6 +189,11 @@ class ReplayBuffer:
     def begin(self, motors: Any = slice(None)) -> NDArray[np.int_]:
         """Return the place before the oldest sample that is not to be forgotten, (motor,)."""
         begin: NDArray[np.int_] = self._begin[motors]
+        return begin
+
+    def begin_of(self, motor: int) -> int:
+        """Return the same of one motor."""
+        begin: int = self._begin.item(motor)
         return begin
 
     def remembered(

@@ -111,7 +111,9 @@ class RegularEstimates:
         if not self._library.tell_estimates(self._about, where, count, *results):
             return None
         value, covariance, codes = self._results
-        return value[:count].copy(), covariance[:count].copy(), verdicts_of(codes[:count])
+        if motors is not None:
+            value, covariance, codes = value[:count], covariance[:count], codes[:count]
+        return value.copy(), covariance.copy(), verdicts_of(codes)
 
     def _point_shares(self, share: Array | None, reach: Array | None) -> bool:
         """Let the compiled code read these; tell whether it can."""

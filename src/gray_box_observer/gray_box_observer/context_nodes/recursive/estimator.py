@@ -214,11 +214,11 @@ class RecursiveEstimator:
         self.replay.settle()
         self._state, batch = self._updater.learn_due(self._state, self._schedule)
         self._has_changed = batch.has_learnt
-        if batch.wait:
+        if batch.wait:  # all blocks that were due, and nothing else
             self._schedule.sleep(batch.wait)
-        else:
-            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # checked later
-                self._finish(batch)
+            return batch.motors is not None and batch.motors.size > 0
+        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # checked later
+            self._finish(batch)
         return bool(self._has_changed.any())
 
     def _finish(self, batch: BatchResult) -> None:

@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.estimate import all_finite
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_group import Group, GroupResult
@@ -231,7 +232,7 @@ class Outputs:
         if template is None:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
         covariance = estimate.covariance[0]
-        if np.count_nonzero(np.isfinite(covariance)) == covariance.size:
+        if all_finite(covariance):
             self._covariance[motor](template.render(covariance))
         self._identified_topics[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
