@@ -12,6 +12,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch, watch
+from gray_box_observer.delay.fine import FineSearch
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.settings.configuration import Configuration
@@ -375,3 +376,31 @@ def test_fine_searches_in_vain_come_ever_rarer(
         one.torque('motor', stamp_ns, float(recording.torque_nm[0, k]), speed_rad_s)
     assert len(begun_at) >= 2
     assert all(later >= 1.9 * earlier for earlier, later in pairwise(begun_at)), begun_at
+
+
+@pytest.mark.slow
+def test_evidence_is_asked_for_only_against_a_delay_that_disagrees(
+    record: Callable[..., Recording],
+    observer: Any,
+    feed: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit at the delay in force is half of a fine search."""
+    fits: dict[bool, int] = {}
+    fit = FineSearch.fit
+
+    def counted(search: FineSearch, delay_s: float, *, free: bool) -> Any:
+        fits[free] = fits.get(free, 0) + 1
+        return fit(search, delay_s, free=free)
+
+    monkeypatch.setattr(FineSearch, 'fit', counted)
+    kept = record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.02)
+    agreeing = observer(**{'motor.delay': 'estimate'})
+    feed(agreeing, kept, 0.0)
+    assert fits.get(True, 0) >= 1
+    assert fits.get(False, 0) < fits[True]
+    fits.clear()
+    late = observer()
+    feed(late, kept, 5 / RATE_HZ)
+    assert late.delays()['motor'].verdict is DelayVerdict.UNDECLARED
+    assert fits[False] >= 2, 'two searches must agree'

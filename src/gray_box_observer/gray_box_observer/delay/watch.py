@@ -106,13 +106,26 @@ class DelayEstimate:
 
 @dataclass(frozen=True)
 class _Found:
-    """Outcome of one search; a NaN where it did not come that far."""
+    """Outcome of one search; a NaN where it did not come that far.
+
+    Attributes:
+        delay_s: where the data are explained best.
+        std_s: standard deviation of that.
+        evidence: log-likelihood that it brings over the delay in force; 0 where it agrees with that
+            one.
+        interval_s: usual time between torques.
+        inside: whether it lies within what was searched.
+    """
 
     delay_s: float
     std_s: float
     evidence: float
     interval_s: float
     inside: bool
+
+    def agrees_with(self, delay_s: float) -> bool:
+        """Tell whether another delay is as good, as far as the data and any use of it tell."""
+        return abs(self.delay_s - delay_s) < max(STDS * self.std_s, WORTH * self.interval_s)
 
 
 class DelayWatch:
@@ -236,13 +249,16 @@ class DelayWatch:
         self._refine_at = 2 * self._count  # unless it brings news
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
-        fixed_fit = yield from fine.fit(applied_s, free=False)
-        likelihood_gain = evidence(best, fixed_fit)
-        if not math.isfinite(best.std_s + likelihood_gain):
+        if not math.isfinite(best.delay_s + best.std_s):
             return None
         margin_s = 0.5 * interval_s
         inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
-        return _Found(best.delay_s, best.std_s, likelihood_gain, interval_s, inside)
+        found = _Found(best.delay_s, best.std_s, 0.0, interval_s, inside)
+        if found.agrees_with(applied_s):  # and needs no evidence against it
+            return found
+        held_fit = yield from fine.fit(applied_s, free=False)
+        likelihood_gain = evidence(best, held_fit)
+        return replace(found, evidence=likelihood_gain) if math.isfinite(likelihood_gain) else None
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
@@ -279,12 +295,11 @@ class DelayWatch:
     def _judge(self, result: _Found) -> float | None:
         """Compare the outcome with the delay in force; two searches must agree on another one."""
         estimate, before, self._before = self.estimate, self._before, None
-        off_s = abs(result.delay_s - estimate.applied_s)
         if math.isnan(result.std_s):
             if estimate.verdict in (DelayVerdict.UNKNOWN, DelayVerdict.SUSPECTED):
                 self.estimate = replace(estimate, verdict=DelayVerdict.CONFIRMED)
             return None
-        if off_s < max(STDS * result.std_s, WORTH * result.interval_s):
+        if result.agrees_with(estimate.applied_s):
             return (
                 self._agree(result) if result.inside and result.std_s < result.interval_s else None
             )
