@@ -253,12 +253,12 @@ class DelayWatch:
             return None
         margin_s = 0.5 * interval_s
         inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
-        found = _Found(best.delay_s, best.std_s, 0.0, interval_s, inside)
-        if found.agrees_with(applied_s):  # and needs no evidence against it
-            return found
+        result = _Found(best.delay_s, best.std_s, 0.0, interval_s, inside)
+        if result.agrees_with(applied_s):  # and needs no evidence against it
+            return result
         held_fit = yield from fine.fit(applied_s, free=False)
         likelihood_gain = evidence(best, held_fit)
-        return replace(found, evidence=likelihood_gain) if math.isfinite(likelihood_gain) else None
+        return replace(result, evidence=likelihood_gain) if math.isfinite(likelihood_gain) else None
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""

@@ -81,7 +81,7 @@ class MotorObserver:
     def __init__(self, form: MotorForm, form_choice: FormChoice) -> None:
         self.form_choice = form_choice
         self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
-        self._unasked: Estimate | None = None  # gone out; whether it is tested is still to be asked
+        self._estimate_to_schedule: Estimate | None = None  # it has gone out; is its test due?
         self._retests: dict[int, bool] = {}
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
@@ -160,7 +160,11 @@ class MotorObserver:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if self._deferred_update is not None or self._tests or self._unasked is not None:
+        if (
+            self._deferred_update is not None
+            or self._tests
+            or self._estimate_to_schedule is not None
+        ):
             self.run_deferred()
         prediction = (
             None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
@@ -181,7 +185,7 @@ class MotorObserver:
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        if self._unasked is not None:
+        if self._estimate_to_schedule is not None:
             self._ask_for_tests()
         if self._tests:
             tests, self._tests = self._tests, []
@@ -284,7 +288,7 @@ class MotorObserver:
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
-        if self._unasked is not None:
+        if self._estimate_to_schedule is not None:
             self._ask_for_tests()
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
@@ -325,7 +329,7 @@ class MotorObserver:
         """
         schedule = self._fit.schedule
         if self.motors == 1 and schedule.is_settled(estimate):
-            self._unasked = estimate
+            self._estimate_to_schedule = estimate
         else:
             for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
                 if schedule.is_urgent(motor):
@@ -336,7 +340,7 @@ class MotorObserver:
 
     def _ask_for_tests(self) -> None:
         """Ask whether a test is due of the one motor whose newest estimate has gone out."""
-        estimate, self._unasked = self._unasked, None
+        estimate, self._estimate_to_schedule = self._estimate_to_schedule, None
         assert estimate is not None
         motors = self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST)
         self._tests += [(motor, False) for motor in motors]
