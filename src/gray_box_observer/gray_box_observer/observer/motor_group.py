@@ -114,8 +114,12 @@ class GroupResult:
         names = self.group.names
         if len(names) > 1:
             return list(self._motor_by_motor())
-        alarm, speed = bool(self.alarm[0]), self.update.speed
-        return [Result(names[0], self.sample, self.prediction, self.estimate, alarm, speed)]
+        alarm, speed = self.alarm.item(), self.update.speed
+        # As Result(...) does, without the call that every sample would pay for.
+        result: Result = tuple.__new__(
+            Result, (names[0], self.sample, self.prediction, self.estimate, alarm, speed)
+        )
+        return [result]
 
     def _motor_by_motor(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction

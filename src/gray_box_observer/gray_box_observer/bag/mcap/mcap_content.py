@@ -215,9 +215,14 @@ def parse_messages(
         messages whose channel nobody declared.
     """
     messages: list[RawMessage] = []
-    append, select, unpack = messages.append, wanted_channels.get, MESSAGE_HEAD.unpack_from
+    append, unpack, make = messages.append, MESSAGE_HEAD.unpack_from, tuple.__new__
     at, end, orphans = 0, len(records), 0
     last_head = end - MESSAGE_HEAD.size
+    origins = {
+        number: (channel.topic, channel.type_name, channel.schema_text)
+        for number, channel in wanted_channels.items()
+    }
+    select = origins.get
     while at <= last_head:
         opcode, length, number, _, log_ns, publish_ns = unpack(records, at)
         next_at = at + 9 + length
@@ -226,18 +231,11 @@ def parse_messages(
         if opcode == MESSAGE:
             if length < 22:
                 return messages, end - at, orphans
-            channel = select(number)
-            if channel is not None:
-                append(
-                    RawMessage(
-                        channel.topic,
-                        channel.type_name,
-                        channel.schema_text,
-                        records[at + 31 : next_at],
-                        log_ns,
-                        publish_ns,
-                    )
-                )
+            origin = select(number)
+            if origin is not None:
+                data = records[at + 31 : next_at]
+                # As RawMessage(...) does, without the call that every message would pay for.
+                append(make(RawMessage, (*origin, data, log_ns, publish_ns)))
             elif number not in channels:
                 orphans += 1
         elif opcode not in _DECLARATIONS and opcode < FIRST_PRIVATE:
