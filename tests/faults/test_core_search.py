@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from core_search import SEQUENCES, Action, Regular, Setup, examine, setups
+from core_search import (
+    SEQUENCES,
+    Action,
+    Gap,
+    Operation,
+    Regular,
+    Repeat,
+    Setup,
+    examine,
+    setups,
+)
 from hypothesis import HealthCheck, Phase, given, settings
 
 
@@ -34,6 +44,16 @@ BROKEN: dict[str, tuple[Setup, list[Action]]] = {
             Regular(2, missing=('voltage',)),
             Regular(2, missing=('voltage', 'speed')),
             Regular(60),
+        ],
+    ),
+    'torque next to nothing, whose covariance for unit noise is huge, and a new start': (
+        Setup(speed='in torque', changes=(('*.speed_source', 'torque_constant'),)),
+        [
+            Repeat(31),
+            Regular(76, missing=('speed',), kind='tiny', spoilt='torque', lead=20),
+            Repeat(28),
+            Operation('restart'),
+            Gap(150),
         ],
     ),
 }

@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.recursive.normal_equations import Scaling
 from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, CURRENT, STATES
 from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
     ArrayRule,
+    check_array,
     check_arrays,
     check_covariance,
     positive,
 )
 from gray_box_observer.white_box.interface import Array
+
+LARGEST_OF_UNIT_NOISE = LARGEST**3
+"""Covariance for unit noise beyond which none is; of noise that is tiny it is huge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,17 +176,20 @@ def check_belief(name: str, arrays: Mapping[str, Array], coordinates: int) -> No
         CheckpointError: an array is missing, of another shape or out of range.
     """
     n = coordinates
+    shape = (1, n + STATES, n + STATES)
     rules = {
         'current_a': positive(1),
         'p': positive(1, n),
         'state': ArrayRule((1,)),
-        'covariance': ArrayRule((1, n + STATES, n + STATES)),
+        'covariance': ArrayRule(shape, -LARGEST_OF_UNIT_NOISE, LARGEST_OF_UNIT_NOISE),
         'noise': positive(1),
         'gain': ArrayRule((1,), 0.0, 1.0),
         'sensitivity': ArrayRule((1, n)),
     }
     check_arrays(arrays, rules, f'{name}.')
-    check_covariance(f'{name}.covariance', arrays[f'{name}.covariance'])
+    covariance, noise = arrays[f'{name}.covariance'], arrays[f'{name}.noise']
+    check_array(f'{name}.covariance, times the noise', covariance * noise**2, ArrayRule(shape))
+    check_covariance(f'{name}.covariance', covariance)
 
 
 def check_prior(arrays: Mapping[str, Array], coordinates: int) -> None:
