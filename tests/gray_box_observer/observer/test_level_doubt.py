@@ -16,6 +16,7 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Estimate, VerdictSettings
 from gray_box_observer.context_nodes.estimate import Verdict
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.observer.level_doubt import LOST_V, LevelDoubt
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -156,6 +157,14 @@ def test_a_rotor_that_stands_still_leaves_its_resistance_open() -> None:
     widened = doubt.widened(estimate, VerdictSettings())
     assert widened.std[0, 1] == pytest.approx(2.0 * math.sqrt(2.0) * LOST_V / 6.0, rel=0.05)
     assert widened.verdicts[0][1] is not Verdict.IDENTIFIED
+
+
+def test_a_spread_that_is_no_covariance_is_refused() -> None:
+    doubt = LevelDoubt(MotorWhiteBox(tuple(NODES), 0.03, {}, True))
+    state = doubt.state(0)
+    state['spread'][2][2] = -1000.0
+    with pytest.raises(CheckpointError, match='level.spread has a variance of -1000'):
+        doubt.restore(state, 0)
 
 
 def test_a_state_of_an_early_release_begins_anew() -> None:

@@ -25,6 +25,7 @@ from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
     ArrayRule,
+    check_covariance,
     flag,
     group,
     number,
@@ -166,6 +167,7 @@ class LevelDoubt:
         half_interval_s = number(plain, 'half_interval_s', 0.0, LARGEST)
         unseen = whole(plain, 'unseen', 0, MOST)
         spread = numbers(plain, 'spread', ArrayRule(self._spread.shape))
+        check_covariance('level.spread', spread)
         self._information.restore(group(plain, 'information'))
         self.has_moved, self.is_settled, self._place = has_moved, is_settled, place - unseen
         self._spread, self._half_interval_s = spread, half_interval_s
