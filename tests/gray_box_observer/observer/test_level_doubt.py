@@ -163,7 +163,7 @@ def test_a_spread_that_is_no_covariance_is_refused() -> None:
     doubt = LevelDoubt(MotorWhiteBox(tuple(NODES), 0.03, {}, True))
     state = doubt.state(0)
     state['spread'][2][2] = -1000.0
-    with pytest.raises(CheckpointError, match='level.spread has a variance of -1000'):
+    with pytest.raises(CheckpointError, match=r'level\.spread has a variance of -1000'):
         doubt.restore(state, 0)
 
 
