@@ -45,8 +45,13 @@ DEFINITIONS = {
     'vesc_msgs/msg/VescStateStamped': f'std_msgs/Header header\nVescState state{HEADER}'
     f'{SEPARATOR[1:]}MSG: vesc_msgs/VescState\nint32 FAULT_CODE_NONE=0\nfloat64 temp_motor\n'
     'float64 current_motor\nfloat64 duty_cycle\nfloat64 speed\nfloat64 voltage_input\n',
-    'odrive_can/msg/ODriveStatusAdvanced': 'float32 bus_voltage\nfloat32 bus_current\n'
-    'float32 vel_estimate\nfloat32 iq_measured\nuint8 axis_state\n',
+    'odrive_can/msg/ODriveStatus': 'float32 bus_voltage\nfloat32 bus_current\n'
+    'float32 fet_temperature\nfloat32 motor_temperature\nuint32 active_errors\n'
+    'uint32 disarm_reason\n',
+    'odrive_can/msg/ControllerStatus': 'float32 pos_estimate\nfloat32 vel_estimate\n'
+    'float32 torque_target\nfloat32 torque_estimate\nfloat32 iq_setpoint\n'
+    'float32 iq_measured\nuint32 active_errors\nuint8 axis_state\nuint8 procedure_result\n'
+    'bool trajectory_done_flag\n',
     'roboclaw_driver/msg/Status': 'std_msgs/Header header\nint32 m1_speed\nint16 m1_duty\n'
     f'int32 m1_current\nint32 main_battery{HEADER}',
 }
@@ -153,14 +158,30 @@ def vesc(now: Moment) -> list[Row]:
 
 
 def odrive(now: Moment) -> list[Row]:
-    content = {
+    status = {
         'bus_voltage': now.battery_v,
         'bus_current': 1.5 * now.voltage_v * now.current_a / now.battery_v,
-        'vel_estimate': now.speed_rad_s / (2.0 * np.pi),
-        'iq_measured': now.current_a,
-        'axis_state': 8,
+        'fet_temperature': 35.0,
+        'motor_temperature': 40.0,
+        'active_errors': 0,
+        'disarm_reason': 0,
     }
-    return [('/odrive_status', 'odrive_can/msg/ODriveStatusAdvanced', content)]
+    controller = {
+        'pos_estimate': now.angle_rad / (2.0 * np.pi),
+        'vel_estimate': now.speed_rad_s / (2.0 * np.pi),
+        'torque_target': 1.5 * KT * now.current_a,
+        'torque_estimate': 1.5 * KT * now.current_a,
+        'iq_setpoint': now.current_a,
+        'iq_measured': now.current_a,
+        'active_errors': 0,
+        'axis_state': 8,
+        'procedure_result': 0,
+        'trajectory_done_flag': False,
+    }
+    return [
+        ('/odrive_status', 'odrive_can/msg/ODriveStatus', status),
+        ('/controller_status', 'odrive_can/msg/ControllerStatus', controller),
+    ]
 
 
 def roboclaw(now: Moment) -> list[Row]:
