@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -234,7 +234,13 @@ def recording() -> Recording:
     return simulation.record(15.0)
 
 
-def record(folder: Path, rows_at: Callable[[Moment], list[Row]], recording: Recording) -> Path:
+def record(
+    folder: Path,
+    rows_at: Callable[[Moment], list[Row]],
+    recording: Recording,
+    late_ns: Mapping[str, int] | None = None,
+) -> Path:
+    """Write what a robot says; messages of a topic arrive late by what is stated of it."""
     encoders: dict[str, Callable[[Any], bytes]] = {}
     topics: set[str] = set()
     with BagWriter(folder) as bag:
@@ -246,7 +252,8 @@ def record(folder: Path, rows_at: Callable[[Moment], list[Row]], recording: Reco
                 if topic not in topics:
                     topics.add(topic)
                     bag.add_topic(topic, kind, DEFINITIONS[kind])
-                bag.write(topic, encoders[kind](content), now.stamp_ns, now.stamp_ns)
+                arrival_ns = now.stamp_ns + (late_ns or {}).get(topic, 0)
+                bag.write(topic, encoders[kind](content), arrival_ns, arrival_ns)
     return folder
 
 
@@ -268,6 +275,14 @@ def test_a_robot_is_identified_by_parameters_alone(
     )
     assert values['resistance'] == pytest.approx(1.0, rel=0.02)
     assert values['inductance'] == pytest.approx(0.05, rel=0.02)
+
+
+def test_an_odrive_whose_bus_and_current_come_apart_is_a_misfit(
+    tmp_path: Path, recording: Recording
+) -> None:
+    bag = record(tmp_path / 'bag', odrive, recording, late_ns={'/odrive_status': 300_000})
+    estimate = observe(bag, 'odrive').observer.estimates()['wheel']
+    assert {str(verdict.value) for verdict in estimate.verdicts[0]} == {'misfit'}
 
 
 def test_every_file_of_the_page_is_tried() -> None:
