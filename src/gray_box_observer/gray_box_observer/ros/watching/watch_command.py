@@ -135,13 +135,13 @@ def refuse_parameters(of_ros: Sequence[str]) -> None:
     Raises:
         ConfigurationError: there is one.
     """
-    for option, text in pairwise(of_ros):
+    for option, text in pairwise([*of_ros, '']):
         name = text.partition(':=')[0].rpartition(':')[2]
         if option in PARAMETER_FILE_OPTIONS or (
             option in PARAMETER_OPTIONS and name != 'use_sim_time'
         ):
             raise ConfigurationError(
-                f'{option} {text}: this node has no parameters; --help lists its options'
+                f'{f"{option} {text}".strip()}: this node has no parameters; --help lists its options'
             )
 
 
