@@ -50,7 +50,10 @@ def test_a_page_that_says_something_else_is_found(tmp_path: Path):
     assert '+| `gap_s` | double | s | `0.5`' in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize('name', ['observer', 'recorder', 'player', 'identify', 'motor_sim'])
+@pytest.mark.parametrize(
+    'name',
+    ['observer', 'recorder', 'player', 'identify', 'watch', 'dashboard', 'motor_sim'],
+)
 def test_every_executable_has_a_section_with_its_options(name: str):
     assert '| `-h`, `--help` |' in section(name)
 

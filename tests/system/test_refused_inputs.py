@@ -17,6 +17,8 @@ EXECUTABLES = {
     'observer': 'gray_box_observer',
     'recorder': 'gray_box_observer',
     'player': 'gray_box_observer',
+    'watch': 'gray_box_observer',
+    'dashboard': 'gray_box_observer',
     'motor_sim': 'dc_motor_sim',
 }
 BAG = str(ROOT / 'bags' / 'moderate')
@@ -54,8 +56,10 @@ def refused(tmp_path: Path) -> Refused:
 
 def with_file(name: str, path: Path) -> list[str]:
     """Arguments that name a parameter file."""
-    if name == 'identify':
+    if name in ('identify', 'watch'):
         return [BAG, '--params', str(path)]
+    if name == 'dashboard':
+        return ['--params', str(path)]
     return [*([BAG] if name == 'player' else []), '--ros-args', '--params-file', str(path)]
 
 
@@ -76,21 +80,22 @@ def test_an_argument_that_is_no_utf_8_is_refused_by_its_bytes(refused: Refused, 
 
 
 @pytest.mark.parametrize('name', [name for name in EXECUTABLES if name != 'identify'])
-@pytest.mark.parametrize(
-    ('words', 'message'),
-    [
-        (('--nosuchflag',), "unknown ROS arguments: ['--nosuchflag']"),
-        (
-            ('-p',),
-            "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter "
-            'override rule found.',
-        ),
-    ],
-)
 def test_an_argument_that_ros_does_not_know_is_refused_in_its_words(
-    refused: Refused, name: str, words: tuple[str, ...], message: str
+    refused: Refused, name: str
 ) -> None:
-    assert refused(name, '--ros-args', *words) == message
+    words = ('--ros-args', '--nosuchflag')
+    assert refused(name, *words) == "unknown ROS arguments: ['--nosuchflag']"
+
+
+@pytest.mark.parametrize('name', [name for name in EXECUTABLES if name != 'identify'])
+def test_an_option_for_a_parameter_without_one_is_refused(refused: Refused, name: str) -> None:
+    message = (
+        '-p: this node has no parameters; --help lists its options'
+        if name in ('watch', 'dashboard')
+        else "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter "
+        'override rule found.'
+    )
+    assert refused(name, '--ros-args', '-p') == message
 
 
 @pytest.mark.parametrize(
@@ -130,7 +135,7 @@ def test_a_parameter_file_that_cannot_be_meant_is_refused_by_line_or_name(
 
 
 @pytest.mark.parametrize('place', ['/dev/zero', 'pipe'])
-@pytest.mark.parametrize('name', ['identify', 'player'])
+@pytest.mark.parametrize('name', ['identify', 'player', 'watch'])
 def test_a_device_or_a_pipe_is_no_bag(
     refused: Refused, tmp_path: Path, name: str, place: str
 ) -> None:

@@ -96,3 +96,12 @@ def check_fields(instance: Any, error: type[SimulationError]) -> None:
         complaint = quantity_of(field).complaint(field.name, getattr(instance, field.name))
         if complaint is not None:
             raise error(complaint)
+
+
+def in_words(instance: Any) -> str:
+    """Say every field of such a dataclass: name, value and unit."""
+    parts = []
+    for field in fields(instance):
+        unit = quantity_of(field).unit
+        parts.append(f'{field.name} {getattr(instance, field.name):g}{unit and f" {unit}"}')
+    return ', '.join(parts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import time
+from dataclasses import fields
 
 import psutil
 import pytest
@@ -13,6 +14,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomic
 from sensor_msgs.msg import JointState
 
 from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.quantity import quantity_of
 from dc_motor_sim.ros import topics
 from dc_motor_sim.simulation import Simulation
 
@@ -286,6 +288,16 @@ def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, value
     assert err.startswith('motor_sim: error: ')
     assert what in err
     assert err.count('\n') == 1
+
+
+def test_the_log_names_every_parameter_of_a_motor_with_its_unit(peer):
+    _, _, err = peer.end(peer.start(MODULE, duration_s=0.1, motor__resistance=2.5), None)
+    (line,) = [line for line in err.splitlines() if 'inductance' in line]
+    assert 'motor: R[5,15]D[1,20] at 100 Hz, inductance 0.5 H, resistance 2.5 ohm, ' in line
+    for field in fields(PlantParameters):
+        assert f' {field.name} ' in line
+        assert f' {quantity_of(field).unit}' in line
+    assert 'PlantParameters' not in err
 
 
 def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):

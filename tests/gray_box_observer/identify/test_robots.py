@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,13 @@ DEFINITIONS = {
     'vesc_msgs/msg/VescStateStamped': f'std_msgs/Header header\nVescState state{HEADER}'
     f'{SEPARATOR[1:]}MSG: vesc_msgs/VescState\nint32 FAULT_CODE_NONE=0\nfloat64 temp_motor\n'
     'float64 current_motor\nfloat64 duty_cycle\nfloat64 speed\nfloat64 voltage_input\n',
-    'odrive_can/msg/ODriveStatusAdvanced': 'float32 bus_voltage\nfloat32 bus_current\n'
-    'float32 vel_estimate\nfloat32 iq_measured\nuint8 axis_state\n',
+    'odrive_can/msg/ODriveStatus': 'float32 bus_voltage\nfloat32 bus_current\n'
+    'float32 fet_temperature\nfloat32 motor_temperature\nuint32 active_errors\n'
+    'uint32 disarm_reason\n',
+    'odrive_can/msg/ControllerStatus': 'float32 pos_estimate\nfloat32 vel_estimate\n'
+    'float32 torque_target\nfloat32 torque_estimate\nfloat32 iq_setpoint\n'
+    'float32 iq_measured\nuint32 active_errors\nuint8 axis_state\nuint8 procedure_result\n'
+    'bool trajectory_done_flag\n',
     'roboclaw_driver/msg/Status': 'std_msgs/Header header\nint32 m1_speed\nint16 m1_duty\n'
     f'int32 m1_current\nint32 main_battery{HEADER}',
 }
@@ -153,14 +158,30 @@ def vesc(now: Moment) -> list[Row]:
 
 
 def odrive(now: Moment) -> list[Row]:
-    content = {
+    status = {
         'bus_voltage': now.battery_v,
         'bus_current': 1.5 * now.voltage_v * now.current_a / now.battery_v,
-        'vel_estimate': now.speed_rad_s / (2.0 * np.pi),
-        'iq_measured': now.current_a,
-        'axis_state': 8,
+        'fet_temperature': 35.0,
+        'motor_temperature': 40.0,
+        'active_errors': 0,
+        'disarm_reason': 0,
     }
-    return [('/odrive_status', 'odrive_can/msg/ODriveStatusAdvanced', content)]
+    controller = {
+        'pos_estimate': now.angle_rad / (2.0 * np.pi),
+        'vel_estimate': now.speed_rad_s / (2.0 * np.pi),
+        'torque_target': 1.5 * KT * now.current_a,
+        'torque_estimate': 1.5 * KT * now.current_a,
+        'iq_setpoint': now.current_a,
+        'iq_measured': now.current_a,
+        'active_errors': 0,
+        'axis_state': 8,
+        'procedure_result': 0,
+        'trajectory_done_flag': False,
+    }
+    return [
+        ('/odrive_status', 'odrive_can/msg/ODriveStatus', status),
+        ('/controller_status', 'odrive_can/msg/ControllerStatus', controller),
+    ]
 
 
 def roboclaw(now: Moment) -> list[Row]:
@@ -213,7 +234,13 @@ def recording() -> Recording:
     return simulation.record(15.0)
 
 
-def record(folder: Path, rows_at: Callable[[Moment], list[Row]], recording: Recording) -> Path:
+def record(
+    folder: Path,
+    rows_at: Callable[[Moment], list[Row]],
+    recording: Recording,
+    late_ns: Mapping[str, int] | None = None,
+) -> Path:
+    """Write what a robot says; messages of a topic arrive late by what is stated of it."""
     encoders: dict[str, Callable[[Any], bytes]] = {}
     topics: set[str] = set()
     with BagWriter(folder) as bag:
@@ -225,7 +252,8 @@ def record(folder: Path, rows_at: Callable[[Moment], list[Row]], recording: Reco
                 if topic not in topics:
                     topics.add(topic)
                     bag.add_topic(topic, kind, DEFINITIONS[kind])
-                bag.write(topic, encoders[kind](content), now.stamp_ns, now.stamp_ns)
+                arrival_ns = now.stamp_ns + (late_ns or {}).get(topic, 0)
+                bag.write(topic, encoders[kind](content), arrival_ns, arrival_ns)
     return folder
 
 
@@ -247,6 +275,14 @@ def test_a_robot_is_identified_by_parameters_alone(
     )
     assert values['resistance'] == pytest.approx(1.0, rel=0.02)
     assert values['inductance'] == pytest.approx(0.05, rel=0.02)
+
+
+def test_an_odrive_whose_bus_and_current_come_apart_is_a_misfit(
+    tmp_path: Path, recording: Recording
+) -> None:
+    bag = record(tmp_path / 'bag', odrive, recording, late_ns={'/odrive_status': 300_000})
+    estimate = observe(bag, 'odrive').observer.estimates()['wheel']
+    assert {str(verdict.value) for verdict in estimate.verdicts[0]} == {'misfit'}
 
 
 def test_every_file_of_the_page_is_tried() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import subprocess
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -61,6 +62,27 @@ def test_an_observer_that_says_nothing_of_use_is_an_error_in_a_sentence(
     out, said = capsys.readouterr()
     assert out == ''
     assert said.startswith('dashboard: error: the observer ') and said.count('\n') == 1
+
+
+def test_a_mistyped_parameter_of_the_file_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {gap: 1.0}}')
+    assert dashboard_command.main(['dashboard', '--params', str(params)]) == 2
+    out, said = capsys.readouterr()
+    assert out == ''
+    assert 'gap (did you mean gap_s?)' in said and said.count('\n') == 1
+
+
+@pytest.mark.parametrize('words', [('-p', 'nosuch:=1'), ('--params-file', 'x.yaml')])
+def test_parameters_are_refused_for_nobody_would_read_them(
+    words: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert dashboard_command.main(['dashboard', '--ros-args', *words]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f'dashboard: error: {" ".join(words)}: this node has no parameters')
+    assert said.count('\n') == 1
 
 
 def test_what_an_observer_says_is_taken() -> None:

@@ -41,6 +41,24 @@ def test_a_wrong_word_is_refused(
     assert complaint in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    'words', [('-p', 'nosuch:=1'), ('--param', 'a:=1'), ('--params-file', 'x.yaml')]
+)
+def test_parameters_are_refused_for_nobody_would_read_them(
+    words: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert watch_command.main(['watch', '--ros-args', *words]) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f'watch: error: {" ".join(words)}: this node has no parameters; --help lists its options\n'
+    )
+
+
+def test_the_time_of_a_simulation_may_be_given_to_every_node() -> None:
+    words = ['--ros-args', '-p', 'use_sim_time:=true', '-p', 'gray_box_watch:use_sim_time:=true']
+    watch_command.refuse_parameters(words)
+
+
 def test_a_bag_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert watch_command.main(['watch', str(tmp_path / 'nothing')]) == 2
     err = capsys.readouterr().err

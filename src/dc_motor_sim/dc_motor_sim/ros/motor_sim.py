@@ -33,6 +33,7 @@ from sensor_msgs.msg import JointState
 from dc_motor_sim.end_signals import SIGNALS
 from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.quantity import in_words
 from dc_motor_sim.ros import command_line, discovery, parameters, topics
 from dc_motor_sim.simulation import Sample
 from dc_motor_sim.stamps import NANOSECONDS_PER_SECOND, to_nanoseconds, to_seconds
@@ -181,7 +182,7 @@ class MotorSim(Node):
         for motor, excitation in list(settings.excitation.items())[:MOST_NAMED]:
             self.get_logger().info(
                 f'{motor}: {excitation} at {self._options.sample_rate_hz:g} Hz, '
-                f'{settings.motors[motor]}'
+                f'{in_words(settings.motors[motor])}'
             )
         if len(settings.motors) > MOST_NAMED:
             self.get_logger().info(f'and {len(settings.motors) - MOST_NAMED} motors more')

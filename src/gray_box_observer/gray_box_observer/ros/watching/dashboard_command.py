@@ -13,7 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from gray_box_observer.errors import GrayBoxError, InputError
-from gray_box_observer.ros.watching.watch_command import EXIT_USER_ERROR, part_words
+from gray_box_observer.ros.watching.watch_command import (
+    EXIT_USER_ERROR,
+    part_words,
+    refuse_parameters,
+)
 from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.ros_parameter_file import read_parameter_file
@@ -70,6 +74,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if not 0 <= options.port <= 65_535:
         parser.error('--port must be from 0 to 65535')
     try:
+        refuse_parameters(of_ros)
         settings = _settings(options)
     except GrayBoxError as error:
         print(printable(f'dashboard: error: {error}'), file=sys.stderr, flush=True)
@@ -81,7 +86,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return what to show, from the command line or from the observer that starts it."""
-    parameters = read_parameter_file(options.params) if options.params else {}
+    parameters = _parameters_of_file(options.params) if options.params else {}
     settings: dict[str, Any] = {
         'address': options.address,
         'port': options.port,
@@ -93,6 +98,19 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
         threading.Thread(target=_end_with_observer, daemon=True, name='observer').start()
         _give_way()
     return settings
+
+
+def _parameters_of_file(path: Path) -> dict[str, Any]:
+    """Return what a parameter file of an observer says.
+
+    Raises:
+        GrayBoxError: it cannot be read, or misspells a parameter.
+    """
+    from gray_box_observer.settings.configuration import Configuration
+
+    parameters = read_parameter_file(path)
+    Configuration.from_flat(parameters).require_no_slips()
+    return parameters
 
 
 def _read_signals(line: bytes) -> dict[str, Any]:

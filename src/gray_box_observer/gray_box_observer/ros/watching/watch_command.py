@@ -6,9 +6,10 @@ import argparse
 import signal
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
-from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.watching.observer_state import SILENT_S
@@ -17,6 +18,9 @@ EXIT_DONE = 0
 EXIT_USER_ERROR = 2
 
 MOST_MOTORS = 20
+
+PARAMETER_OPTIONS = ('-p', '--param')
+PARAMETER_FILE_OPTIONS = ('--params-file',)
 
 _DESCRIPTION = """Show every motor of every observer in a table: values, deviations, verdicts, fit,
 rates, the advice of the moment and the course of the last minutes.
@@ -90,6 +94,7 @@ def main(args: Sequence[str] | None = None) -> int:
     _check(parser, options, of_ros)
     observers = ['/' + name.strip('/') for name in options.observer]
     try:
+        refuse_parameters(of_ros)
         if options.bag is None:
             from gray_box_observer.ros.watching.watch_node import watch_live
 
@@ -120,6 +125,24 @@ def part_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
         (of_ros if is_of_ros else own).append(word)
         is_of_ros = is_of_ros and word != '--'
     return own, of_ros
+
+
+def refuse_parameters(of_ros: Sequence[str]) -> None:
+    """Refuse parameters among the words of ROS, for nobody would read them.
+
+    ``use_sim_time`` is of every node: a launch file may give it to all.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    for option, text in pairwise([*of_ros, '']):
+        name = text.partition(':=')[0].rpartition(':')[2]
+        if option in PARAMETER_FILE_OPTIONS or (
+            option in PARAMETER_OPTIONS and name != 'use_sim_time'
+        ):
+            raise ConfigurationError(
+                f'{f"{option} {text}".strip()}: this node has no parameters; --help lists its options'
+            )
 
 
 def _check(
