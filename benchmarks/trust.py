@@ -96,7 +96,12 @@ def options_of_command() -> argparse.Namespace:
         '--drawn', type=int, metavar='N', help='drawn motors, excitations and faults (default: 300)'
     )
     parser.add_argument('--data', type=Path, default=DEFAULT_DATA, help='folder of the real logs')
-    parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument(
+        '--processes',
+        type=int,
+        default=1,
+        help='records at a time; with more than one costs are not to be trusted',
+    )
     parser.add_argument('--records', action='store_true', help='print a line a record, too')
     parser.add_argument('--json', type=Path, metavar='FILE', help='write every trial there')
     parser.add_argument(
