@@ -274,7 +274,10 @@ def test_a_type_that_is_not_installed_is_named_and_skipped(peer, tmp_path, monke
         rclpy.shutdown()
 
 
-def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_path):
+@pytest.mark.parametrize(
+    'words', ['--ros-args -p paused:=true', '-p --ros-args', '--start-paused --ros-args']
+)
+def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_path, words):
     heard: list[float] = []
     peer.node.create_subscription(
         JointState, '/elsewhere', lambda m: heard.append(m.effort[0]), SIGNAL_QOS
@@ -283,11 +286,9 @@ def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_p
     player = peer.start(
         PLAYER,
         str(bag),
-        '--ros-args',
+        *words.split(),
         '-r',
         '/motor/torque:=/elsewhere',
-        '-p',
-        'paused:=true',
         '-p',
         'wait_for_subscribers:=1',
     )
@@ -302,15 +303,18 @@ def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_p
     assert (code, heard) == (0, [0.0, 1.0, 2.0, 3.0])
 
 
+@pytest.mark.parametrize(
+    'words', ['--ros-args -p clock:=true -p loop:=true', '--clock -l --ros-args']
+)
 def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins_again(
-    peer, tmp_path
+    peer, tmp_path, words
 ):
     clocks: list[int] = []
     peer.node.create_subscription(
         Clock, '/clock', lambda m: clocks.append(rclpy.time.Time.from_msg(m.clock).nanoseconds), 100
     )
     bag = make_bag(tmp_path / 'bag', [0.0, 0.5, 1.0])
-    player = peer.start(PLAYER, bag=bag, clock='true', loop='true', rate=4, wait_for_subscribers=0)
+    player = peer.start(PLAYER, str(bag), *words.split(), rate=4.0, wait_for_subscribers=0)
     peer.wait(lambda: sum(b < a for a, b in itertools.pairwise(clocks)) >= 2, 'two jumps back')
     assert peer.end(player, signal.SIGTERM)[0] == 0
     assert min(clocks) >= 10**9 and max(clocks) == 2 * 10**9

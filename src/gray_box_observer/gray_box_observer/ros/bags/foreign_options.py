@@ -7,6 +7,10 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 
+LOG_LEVEL = 'say --ros-args --log-level LEVEL'
+"""What serves instead of ``--log-level``, to which the level may stand as a value."""
+
+
 class _Refused(argparse.Action):
     """Ends the command with one line; whatever stands behind the option may be its value."""
 

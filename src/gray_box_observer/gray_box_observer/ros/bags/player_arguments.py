@@ -6,6 +6,9 @@ Where ``ros2 bag play`` has an option, it has the same name here.
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from gray_box_observer.bag.limits import DEFAULT_CHUNK_MB
@@ -45,6 +48,14 @@ _REFUSED = {
     ): 'leave it out: chunks are read when they are due',
     ('--wait-for-all-acked',): 'leave it out: it waits for acknowledgements',
     ('--disable-keyboard-controls', '--disable-loan-message'): 'leave it out: there are none',
+    ('--log-level',): foreign_options.LOG_LEVEL,
+    (
+        '--progress-bar',
+        '--progress-bar-update-rate',
+        '--progress-bar-separation-lines',
+    ): 'leave it out: a terminal is told how many messages have gone out',
+    ('--message-order',): 'leave it out: messages come in the order in which they were recorded',
+    ('--service-requests-source',): 'only topics are replayed',
 }
 """Options of ``ros2 bag play``, and what serves instead."""
 
@@ -114,9 +125,34 @@ PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
 Hz, which an observer can follow."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """Refuses the rate that ``--clock`` of ``ros2 bag`` may have, for BAG may stand there too."""
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """As every parser does; a rate behind ``--clock`` ends the command with one line."""
+        words = list(sys.argv[1:] if args is None else args)
+        for word, next_word in pairwise([*words, '']):
+            if word.startswith('--clock=') or (word == '--clock' and _is_number(next_word)):
+                self.error(
+                    '--clock has no rate here; leave it out: /clock ticks with every message, '
+                    'and between them'
+                )
+        return super().parse_known_args(words, namespace)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        parse_float(word)
+    except argparse.ArgumentTypeError:
+        return False
+    return True
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog='player',
         description=_DESCRIPTION,
         epilog=f'{help_text(PLAYER_PARAMETERS)}\n\n'

@@ -36,10 +36,14 @@ _REFUSED = {
         '--exclude',
         '--exclude-regex',
         '--exclude-topics',
+        '--topic-types',
+        '--exclude-topic-types',
+        '--ignore-leaf-topics',
     ): 'name what is wanted, or --all',
     ('--services', '--all-services', '--exclude-services'): 'only topics are recorded',
     (
         '--no-discovery',
+        '-p',
         '--polling-interval',
     ): 'leave it out: topics that appear later are recorded from then on',
     (
@@ -59,6 +63,9 @@ _REFUSED = {
     ('--storage-config-file',): '--storage-preset-profile chooses how to write',
     ('-f', '--serialization-format'): 'leave it out: messages are recorded as they come',
     ('--disable-keyboard-controls',): 'leave it out: there are none',
+    ('--log-level',): foreign_options.LOG_LEVEL,
+    ('--custom-data',): 'leave it out: keep notes in a file beside the bag',
+    ('--compression-threads-priority',): 'leave it out: --compression-format alone serves',
 }
 """Options of ``ros2 bag record``, and what serves instead."""
 
