@@ -140,8 +140,9 @@ def refuse_parameters(of_ros: Sequence[str]) -> None:
         if option in PARAMETER_FILE_OPTIONS or (
             option in PARAMETER_OPTIONS and name != 'use_sim_time'
         ):
+            words = f'{option} {text}'.strip()
             raise ConfigurationError(
-                f'{f"{option} {text}".strip()}: this node has no parameters; --help lists its options'
+                f'{words}: this node has no parameters; --help lists its options'
             )
 
 
