@@ -6,7 +6,6 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
-
 LOG_LEVEL = 'say --ros-args --log-level LEVEL'
 """What serves instead of ``--log-level``, to which the level may stand as a value."""
 
