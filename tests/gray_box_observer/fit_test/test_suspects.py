@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
@@ -46,6 +48,14 @@ def test_a_supply_that_wanders_is_named() -> None:
     voltage_v = steps(SAMPLES, 4)
     wander = 1.0 + 0.1 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 1100.0)
     assert _first(voltage_v, current_of(wander * voltage_v)) == 'sag'
+
+
+def test_of_currents_next_to_nothing_no_explanation_has_a_number_that_is_none() -> None:
+    tiny = Record(steps(SAMPLES, 1), 5e-324 * np.arange(SAMPLES) % 3.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        found = explanations(WHITE_BOX, tiny.stretch)
+    assert all(np.isfinite((one.evidence, one.amount, one.total)).all() for one in found.values())
 
 
 def test_a_rotor_beside_no_resistance_at_all_is_named_all_the_same() -> None:

@@ -107,6 +107,8 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
     regressors = list(rows[: len(names)])
     target = rows[len(names)]
     base_rest, _ = _fit(regressors, target)
+    if not math.isfinite(base_rest):
+        return {}
     given_ohm = float(white_box.known.get('resistance', math.nan))
     best: dict[str, Explanation] = {}
     first = len(names) + 1
@@ -114,6 +116,8 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
         rest, weights = _fit([*regressors, *further], target)
+        if not math.isfinite(rest):
+            continue
         gain = 0.5 * count / STRIDE * math.log(base_rest / rest)
         evidence = gain - 0.5 * len(shapes) * math.log(count)
         resistance = (
@@ -215,9 +219,13 @@ def _windowed(signals: Array, whole: Array) -> Array:
 
 
 def _fit(regressors: list[Array], target: Array) -> tuple[float, Array]:
-    """Fit a target by least squares; return the sum of squares that is left, and the weights."""
+    """Fit a target by least squares; return the sum of squares that is left, and the weights.
+
+    Where the numbers are too large for that, the sum is not finite.
+    """
     columns = np.column_stack(regressors)
     scale = np.linalg.norm(columns, axis=0) + 1e-300
-    weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0]
-    rest = target - columns @ (weights / scale)
-    return float(rest @ rest) + 1e-24 * float(target @ target) + 1e-300, weights / scale
+    with np.errstate(over='ignore', invalid='ignore'):  # currents next to nothing
+        weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0] / scale
+        rest = target - columns @ weights
+        return float(rest @ rest) + 1e-24 * float(target @ target) + 1e-300, weights
