@@ -17,6 +17,7 @@ import yaml
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.bag.embedded_parameters import to_custom_data
 from gray_box_observer.identify.command import main
+from gray_box_observer.identify.ending import ended_by_exception
 
 KT = 0.01
 Run = Callable[..., tuple[int, str, str]]
@@ -470,18 +471,37 @@ def test_a_speed_from_a_position_is_measured(identify: Run, tmp_path: Path) -> N
     assert 'decimal comma' in said
 
 
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
 def test_a_run_that_is_terminated_leaves_no_folder_and_no_parent_of_it(
-    identify: Run, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    identify: Run,
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
 ) -> None:
     def terminate(*_: object) -> None:
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         raise AssertionError('it went on')
 
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr('gray_box_observer.identify.offline_run.run', terminate)
-    with pytest.raises(SystemExit) as ended:
-        identify(tmp_path / 'runs' / 'today' / 'bag', '--from-csv', log, *columns())
-    assert ended.value.code == 143
-    assert not (tmp_path / 'runs').exists()
-    assert tmp_path.exists()
-    assert signal.getsignal(signal.SIGTERM) == before
+    inherited = signal.signal(number, signal.SIG_DFL)
+    try:
+        monkeypatch.setattr('gray_box_observer.identify.offline_run.run', terminate)
+        with pytest.raises(SystemExit) as ended:
+            identify(tmp_path / 'runs' / 'today' / 'bag', '--from-csv', log, *columns())
+        assert ended.value.code == 128 + number
+        assert not (tmp_path / 'runs').exists()
+        assert tmp_path.exists()
+        assert signal.getsignal(number) == signal.SIG_DFL
+    finally:
+        signal.signal(number, inherited)
+
+
+def test_a_run_that_nohup_has_started_outlives_its_terminal() -> None:
+    inherited = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ended_by_exception():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, inherited)

@@ -172,6 +172,34 @@ def test_speed_is_the_mean_rate_of_a_position() -> None:
     assert told == [(1010, 10.0), (1030, -15.0), (3010, 25.0)]
 
 
+@pytest.mark.parametrize('quantity', ['torque', 'current'])
+def test_offsets_are_added_after_the_scales_of_inputs_and_of_the_expression(
+    quantity: str,
+) -> None:
+    """A current that has an offset of its own is made a torque after it."""
+    taker, observer = listening(
+        {
+            'motor.torque_constant': 0.5,
+            'torque.quantity': quantity,
+            'torque.expression': 'raw * gain',
+            'torque.scale': 2.0,
+            'torque.offset': 1.0,
+            'raw.topic': 'states',
+            'raw.field': 'effort',
+            'raw.scale': 10.0,
+            'raw.offset': -5.0,
+            'gain.topic': 'gain',
+            'gain.offset': 1.0,
+        }
+    )
+    taker.ingest('torque', SimpleNamespace(data=2.0), 1000 * MS, 'gain')
+    taker.ingest('torque', duty(1000, 0.6), 0, 'states')
+    taker.flush()
+    reading = 2.0 * ((10.0 * 0.6 - 5.0) * (2.0 + 1.0)) + 1.0
+    expected = reading * (0.5 if quantity == 'current' else 1.0)
+    assert [told['motor'] for _, _, told in observer.told] == [pytest.approx(expected)]
+
+
 def test_several_motors_and_one_number_are_refused() -> None:
     taker, _ = listening(
         {

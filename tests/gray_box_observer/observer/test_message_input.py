@@ -109,6 +109,64 @@ def test_the_scale_turns_a_current_into_torque() -> None:
     assert told(one, SimpleNamespace(data=4)) == [('motor', pytest.approx(0.2))]
 
 
+NAMED = ('motor',)
+
+
+@pytest.mark.parametrize('name', ['voltage', 'torque', 'speed'])
+@pytest.mark.parametrize(
+    ('field', 'messages'),
+    [
+        ('data', [SimpleNamespace(data=4.0)] * 2),
+        ('data', [SimpleNamespace(data=[4.0])] * 2),
+        ('data[1]', [SimpleNamespace(data=[0.0, 4.0])] * 2),
+        ('effort', [view(0, NAMED, (4.0,)), view(1, NAMED, (4.0,)), view(2, NAMED, (4.0,))]),
+        ('effort', [view(0, ('x', *NAMED), (0.0, 4.0))] * 2),
+        ('effort[motor]', [view(0, ('x', *NAMED), (0.0, 4.0))] * 2),
+    ],
+)
+def test_the_offset_is_added_after_the_scale_whatever_holds_the_value(
+    name: str, field: str, messages: list[Any]
+) -> None:
+    """The usual message, one name with one value, is read in another way from the second on."""
+    given = {'field': field, 'scale': 0.5, 'offset': -0.25, 'topic': 'x'}
+    one = signal(name, **{f'{name}__{key}': value for key, value in given.items()})
+    for message in messages:
+        assert dict(told(one, message))['motor'] == pytest.approx(1.75)
+
+
+def test_the_offset_of_a_current_is_in_ampere() -> None:
+    given = {'torque__quantity': 'current', 'torque__offset': 1.0, 'motor__torque_constant': 0.5}
+    one = signal(torque__scale=2.0, **given)
+    for k in range(2):
+        assert told(one, view(k, NAMED, (3.0,))) == [('motor', pytest.approx(3.5))]
+    assert told(one, view(2, ('x', *NAMED), (0.0, 3.0)))[-1] == ('motor', pytest.approx(3.5))
+    scalar = signal(torque__field='data', **given)
+    assert told(scalar, SimpleNamespace(data=3.0)) == [('motor', pytest.approx(2.0))]
+
+
+@pytest.mark.parametrize(
+    ('field', 'names'),
+    [('effort', ('motor',)), ('effort', ('x', 'motor')), ('effort[motor]', ('x', 'motor'))],
+)
+def test_the_offset_of_a_speed_beside_the_torque_is_added_too(
+    field: str, names: tuple[str, ...]
+) -> None:
+    taker, observer = message_input(torque__field=field, speed__scale=2.0, speed__offset=0.5)
+    speeds: list[float] = []
+    ingest = observer.ingest
+
+    def keep(name: str, names: Any, stamp_ns: int, values: Any, speed_values: Any = None) -> Any:
+        if speed_values is not None:
+            speeds.append(float(speed_values[-1]))
+        return ingest(name, names, stamp_ns, values, speed_values)
+
+    observer.ingest = keep  # type: ignore[method-assign]
+    efforts = [0.1] * len(names)
+    for k in range(3):
+        taker.ingest('torque', view(k, names, efforts, [7.0] * len(names)), 0)
+    assert speeds == [14.5] * 3
+
+
 def test_a_field_that_is_not_there_is_a_mistake_in_the_configuration_that_names_it() -> None:
     with pytest.raises(
         ConfigurationError,

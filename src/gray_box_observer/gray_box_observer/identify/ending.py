@@ -8,9 +8,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+"""What tells a process to end; SIGINT is an exception already."""
+
+UNTOUCHED = (signal.SIG_IGN, None)
+"""Ignored, or handled by something other than Python."""
+
+
 @contextmanager
 def ended_by_exception() -> Iterator[None]:
-    """Let SIGTERM raise SystemExit while this lasts; in another thread than the main one nothing.
+    """Let SIGTERM and SIGHUP raise SystemExit while this lasts; nothing in another thread.
+
+    One that is ignored stays so: nohup asked for it.
 
     Raises:
         SystemExit: the process was told to end; its code is that of the signal.
@@ -19,11 +28,15 @@ def ended_by_exception() -> Iterator[None]:
         yield
         return
 
-    def end(*_: object) -> None:
-        raise SystemExit(128 + signal.SIGTERM)
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
 
-    before = signal.signal(signal.SIGTERM, end)
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
+    replaced = [number for number in SIGNALS if handlers[number] not in UNTOUCHED]
+    for number in replaced:
+        signal.signal(number, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number in replaced:
+            signal.signal(number, handlers[number])
