@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-
 SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 """What tells a process to end; SIGINT is an exception already."""
 
@@ -32,11 +31,11 @@ def ended_by_exception() -> Iterator[None]:
         raise SystemExit(128 + number)
 
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
-    replaced = [number for number in SIGNALS if handlers[number] not in UNTOUCHED]
-    for number in replaced:
+    signal_numbers = [number for number in SIGNALS if handlers[number] not in UNTOUCHED]
+    for number in signal_numbers:
         signal.signal(number, end)
     try:
         yield
     finally:
-        for number in replaced:
+        for number in signal_numbers:
             signal.signal(number, handlers[number])
