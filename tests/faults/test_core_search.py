@@ -56,6 +56,10 @@ BROKEN: dict[str, tuple[Setup, list[Action]]] = {
             Gap(150),
         ],
     ),
+    'a speed at 1 kHz whose rule has gone back to the samples of a fit, and a new start': (
+        Setup(speed='in torque', predictor=False),
+        [Regular(1021, period_ms=1), Operation('restart'), Regular(300, period_ms=1)],
+    ),
 }
 
 

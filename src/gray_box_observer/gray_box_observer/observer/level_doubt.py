@@ -165,7 +165,8 @@ class LevelDoubt:
             return
         is_settled = flag(plain, 'is_settled')
         half_interval_s = number(plain, 'half_interval_s', 0.0, LARGEST)
-        unseen = whole(plain, 'unseen', 0, MOST)
+        # below zero where the rule has since gone back to the samples of an older fit
+        unseen = whole(plain, 'unseen', -MOST, MOST)
         spread = numbers(plain, 'spread', ArrayRule(self._spread.shape))
         check_covariance('level.spread', spread)
         self._information.restore(group(plain, 'information'))
