@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import json
 import math
 import os
@@ -17,12 +19,17 @@ from types import ModuleType
 import psutil
 import pytest
 
+from dc_motor_sim.excitation import parse_excitation
+from dc_motor_sim.voltage_source import VoltageSource
 from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
 from gray_box_observer.bag.joint_state import encode_joint_state
 from gray_box_observer.bag.writer import BagWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / 'ros_ws' / 'demo.py'
+LAUNCH = ROOT / 'src' / 'gray_box_observer' / 'launch' / 'demo.launch.py'
+SOON_S = 3.5
+"""By then the voltage has moved, and who looks at the demo sees it do so."""
 
 
 @pytest.fixture
@@ -49,6 +56,17 @@ def processes(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     before = signal.getsignal(signal.SIGINT)
     yield demo_processes
     signal.signal(signal.SIGINT, before)
+
+
+def default_of_launch(name: str) -> str:
+    """What `demo.launch.py` passes on unless the user says otherwise; `launch` is not needed."""
+    tree = ast.parse(LAUNCH.read_text(encoding='utf-8'))
+    (arguments,) = [
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'ARGUMENTS'
+    ]
+    return arguments[name][0]
 
 
 def start_demo(*arguments: str | Path) -> subprocess.Popen[str]:
@@ -217,6 +235,39 @@ def test_a_wrong_argument_is_refused_in_one_line(arguments: list[str], message: 
     _, errors = demo.communicate(timeout=60)
     assert demo.returncode == 2
     assert message in errors.splitlines()[-1]
+
+
+def defaults_of_demo(monkeypatch: pytest.MonkeyPatch) -> tuple[float, dict[str, str]]:
+    """Torque noise and excitation by motor, as `ros_ws/demo.py` has them."""
+    monkeypatch.syspath_prepend(str(DEMO.parent))
+    demo = importlib.import_module('demo')
+    options = demo.parse_arguments([])
+    assert options.excitation is None
+    return options.torque_noise, {name: one.excitation for name, one in demo.MOTORS.items()}
+
+
+def default_of_make(name: str) -> str:
+    """What `make demo` passes on unless the user says otherwise."""
+    text = (ROOT / 'Makefile').read_text(encoding='utf-8')
+    return re.search(rf'^{name} \?=(.*)$', text, re.MULTILINE)[1].strip()
+
+
+def test_what_one_sees_by_default_has_noise_as_on_a_robot(monkeypatch: pytest.MonkeyPatch):
+    noise, _ = defaults_of_demo(monkeypatch)
+    assert noise == 0.01
+    assert float(default_of_make('TORQUE_NOISE')) == noise
+    assert float(default_of_launch('torque_noise')) == noise
+
+
+def test_what_one_sees_by_default_moves_within_seconds(monkeypatch: pytest.MonkeyPatch):
+    _, excitations = defaults_of_demo(monkeypatch)
+    assert default_of_make('EXCITATION') == '', 'the motor has its own'
+    assert default_of_launch('excitation') == excitations['thesis']
+    for name, text in excitations.items():
+        for seed in range(20):
+            source = VoltageSource([parse_excitation(text)], seed=seed, period_ns=10_000_000)
+            levels = {float(source.step()[0]) for _ in range(round(SOON_S * 100.0))}
+            assert len(levels) > 1, f'{name}, seed {seed}'
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
