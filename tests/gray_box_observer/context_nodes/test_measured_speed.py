@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from rotor_motors import BOX, KB, KT, NODES, THETA, content_of, recorded, samples_of
 
+from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
     RecursiveEstimator,
@@ -26,7 +28,10 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.csv_import.column_expressions import Expression
 from gray_box_observer.errors import CheckpointError
+from gray_box_observer.expressions.formula import Formula
+from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
@@ -159,6 +164,50 @@ def test_noise_of_a_speed_is_estimated_and_its_start_is_near() -> None:
     assert fit.noise.speed_rad_s == pytest.approx(0.02 * np.std(speed), rel=0.1)
     lag_s, std_s = fit.lag()
     assert abs(lag_s) < 4.0 * std_s < 1e-3
+
+
+ENCODER_STEP_RAD = 2.0 * np.pi / 2000.0
+
+
+def counted_angle(recording: Recording) -> np.ndarray:
+    """Whole steps of an encoder at the stamps of a recording, in rad."""
+    speed = recording.speed_rad_s[0]
+    angle = 0.3 + np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * 1e-3])
+    return np.floor(angle / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
+
+
+def by_messages(stamp_ns: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """The rate of a position, as messages of a live topic or of a bag are read."""
+    given = {'speed.expression': 'diff(angle)', 'angle.topic': 'encoder', 'angle.field': 'data'}
+    signal = CombinedSignal('speed', Formula('diff(angle)'), Configuration.from_flat(given))
+    speeds = [
+        stamped.reading.values[0]
+        for stamp, value in zip(stamp_ns.tolist(), angle.tolist(), strict=True)
+        for stamped in signal.ingest('encoder', SimpleNamespace(data=value), stamp)
+        if stamped.reading is not None
+    ]
+    return np.array([np.nan, *speeds])
+
+
+def by_log(stamp_ns: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """The rate of a position, as columns of a log are read."""
+    return Expression('diff(angle)', ('angle',), 1)({1: angle}, stamp_ns * 1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('rate_of', [by_messages, by_log])
+def test_the_step_of_an_encoder_reaches_the_noise_of_the_speed(rate_of: Any) -> None:
+    """Each end of an interval is off by step / sqrt(12): the difference by sqrt(2) times that."""
+    recording = recorded()
+    speed = rate_of(10**9 + recording.stamp_ns, counted_angle(recording))
+    window = window_of(content_of(recording), speed)
+    fit = fitted(window)
+    expected = ENCODER_STEP_RAD / (np.sqrt(6.0) * 1e-3)
+    assert fit.floor.speed_rad_s >= ENCODER_STEP_RAD / (np.sqrt(12.0) * 1e-3) * 0.99
+    assert fit.noise.speed_rad_s == pytest.approx(expected, rel=0.15)
+    assert fit.explains
+    lag_s, std_s = fit.lag()
+    assert lag_s == pytest.approx(0.5e-3, abs=4.0 * std_s + 1e-4)
 
 
 @pytest.mark.slow
