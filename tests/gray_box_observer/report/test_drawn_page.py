@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from headless_browser import BROWSER, OFFLINE
 
 from gray_box_observer.report import (
     ArchiveHistory,
@@ -22,20 +22,6 @@ from gray_box_observer.report.run.rejection_figure import rejection_figure
 from gray_box_observer.report.run.signal_figure import signal_figure
 
 pytest.importorskip('plotly', reason='the report needs plotly')
-
-BROWSER = (
-    shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
-)
-OFFLINE = (
-    '--headless',
-    '--no-sandbox',
-    '--disable-gpu',
-    '--disable-quic',
-    '--no-first-run',
-    '--disable-background-networking',
-    '--disable-component-update',
-    '--disable-sync',
-)
 
 # Runs after the page's own script: presses every button once the figures stand, then counts what is
 # drawn.

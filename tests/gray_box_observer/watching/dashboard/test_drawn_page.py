@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import shutil
 import subprocess
 from collections.abc import Iterator
 from itertools import count
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from headless_browser import BROWSER, OFFLINE
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from gray_box_observer.watching.dashboard.page_feed import PageSource
@@ -22,20 +22,6 @@ from gray_box_observer.watching.observer_state import WatchedState
 
 pytest.importorskip('plotly', reason='the dashboard needs plotly')
 
-BROWSER = (
-    shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
-)
-OFFLINE = (
-    '--headless',
-    '--no-sandbox',
-    '--disable-gpu',
-    '--disable-quic',
-    '--no-first-run',
-    '--disable-background-networking',
-    '--disable-component-update',
-    '--disable-sync',
-    '--remote-debugging-port=0',
-)
 TIMEOUT_S = 100.0
 SECOND_NS = 10**9
 SAMPLES = 50
@@ -148,7 +134,9 @@ class Tab:
 @pytest.fixture
 def debugging_url(tmp_path: Path) -> Iterator[str]:
     """Where the browser that is started here listens."""
-    command = [str(BROWSER), *OFFLINE, f'--user-data-dir={tmp_path / "profile"}', 'about:blank']
+    profile = tmp_path / 'profile'
+    options = [*OFFLINE, '--remote-debugging-port=0', f'--user-data-dir={profile}']
+    command = [str(BROWSER), *options, 'about:blank']
     process = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
