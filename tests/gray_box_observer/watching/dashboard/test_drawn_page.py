@@ -174,6 +174,14 @@ def tell(source: PageSource, second: int) -> None:
             source.signals.add('/o', 'predicted', ['left'], [0.19 * math.sin(phase)], stamp_ns)
 
 
+def shows_second(shown: dict[str, Any], second: int) -> bool:
+    """Whether every plot has been drawn up to this second."""
+    samples, estimates = (second + 1) * SAMPLES, second + 1
+    return all(set(plot['points']) == {samples} for plot in shown['signals'].values()) and all(
+        set(plot['points']) == {estimates} for plot in shown['courses']
+    )
+
+
 async def looked_at(debugging_url: str, url: str, source: PageSource) -> tuple[dict, list[str]]:
     """Return what the page shows once it has been told more, and what went wrong with it."""
     connection = await websocket_connect(debugging_url, max_message_size=64_000_000)
@@ -182,8 +190,12 @@ async def looked_at(debugging_url: str, url: str, source: PageSource) -> tuple[d
         await tab.open(url)
         update_count = int(await tab.evaluate(UPDATED % 1))
         tell(source, 2)
-        await tab.evaluate(UPDATED % max(2, update_count + 2))
-        return await tab.evaluate(DRAWN), tab.complaints
+        shown: dict[str, Any] = {}
+        # Updates that were on their way when the second was told know nothing of it.
+        while not (shown and shows_second(shown, 2)):
+            update_count = int(await tab.evaluate(UPDATED % (update_count + 1)))
+            shown = await tab.evaluate(DRAWN)
+        return shown, tab.complaints
     finally:
         connection.close()
 
@@ -207,12 +219,10 @@ def test_a_browser_draws_every_curve_band_and_verdict_as_they_come(
     assert shown['advice'] == 'drive it on'
     line_counts = {name: plot['lines'] for name, plot in shown['signals'].items()}
     assert line_counts == {'voltage': 1, 'torque': 2, 'residual': 1, 'speed': 1}
-    for name, plot in shown['signals'].items():
-        assert set(plot['points']) == {3 * SAMPLES}, name
     titles = [plot['title'].partition(' [')[0] for plot in shown['courses']]
     assert titles == list(VERDICTS)
     for plot in shown['courses']:
-        assert plot['points'] == [3, 3, 3], plot['title']
+        assert len(plot['points']) == 3, plot['title']
         assert (plot['lines'], plot['fills']) == (3, 1), plot['title']
     assert [row[0] for row in shown['rows']] == list(VERDICTS)
     assert all(all(row) for row in shown['rows']), 'a cell is empty'
