@@ -20,10 +20,29 @@ def folder(tmp_path: Path) -> CheckpointFolder:
     'path', ['c.safetensors', 'left/wheel/c.safetensors', './c.safetensors', '~.safetensors']
 )
 def test_a_relative_path_is_one_in_the_folder(folder: CheckpointFolder, path: str) -> None:
+    (folder.folder / 'left' / 'wheel').mkdir(parents=True)
     assert folder.file(path) == folder.folder / path
 
 
+@pytest.mark.parametrize('path', ['left/c.safetensors', 'left/wheel/c.safetensors'])
+def test_a_folder_named_after_the_start_has_to_be_there(
+    folder: CheckpointFolder, path: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=r'names a folder that is not there: make .*left'):
+        folder.file(path)
+    with pytest.raises(ConfigurationError, match='names a folder that is not there'):
+        folder.file(f'{folder.folder}/{path}')
+
+
+def test_the_folders_given_at_the_start_need_not_be_there(tmp_path: Path) -> None:
+    kept = CheckpointFolder(str(tmp_path / 'kept'), 'left/c.safetensors', tmp_path / 'default')
+    for path in ('left/c.safetensors', 'left/d.safetensors', 'd.safetensors'):
+        assert kept.file(path) == tmp_path / 'kept' / path
+    assert not (tmp_path / 'kept').exists()
+
+
 def test_an_absolute_path_in_the_folder_is_what_it_is(folder: CheckpointFolder) -> None:
+    (folder.folder / 'a').mkdir()
     assert folder.file(f'{folder.folder}/a/c.safetensors') == folder.folder / 'a' / 'c.safetensors'
 
 
@@ -65,6 +84,7 @@ def test_what_no_file_system_would_bear_is_refused(folder: CheckpointFolder, pat
 def test_links_are_followed_and_must_stay_inside(folder: CheckpointFolder) -> None:
     (folder.folder / 'out').symlink_to(folder.folder.parent)
     (folder.folder / 'file').symlink_to('/etc/passwd')
+    (folder.folder / 'a').mkdir()
     (folder.folder / 'in').symlink_to(folder.folder / 'a')
     (folder.folder / 'round').symlink_to(folder.folder / 'round')
     for path in ('out/c.safetensors', 'out/new/c.safetensors', 'file'):
@@ -76,7 +96,7 @@ def test_links_are_followed_and_must_stay_inside(folder: CheckpointFolder) -> No
 
 
 def test_a_folder_that_is_a_link_itself_is_no_way_out(tmp_path: Path) -> None:
-    (tmp_path / 'real').mkdir()
+    (tmp_path / 'real' / 'a').mkdir(parents=True)
     (tmp_path / 'link').symlink_to(tmp_path / 'real')
     linked = CheckpointFolder(str(tmp_path / 'link'), 'c.safetensors', tmp_path)
     assert linked.file('a/c.safetensors') == tmp_path / 'link' / 'a' / 'c.safetensors'

@@ -159,10 +159,13 @@ def test_a_path_set_while_it_runs_stays_in_the_folder(rig, record, tmp_path):
         ('.bashrc', "must hold no name that begins with '.'"),
         ('.ssh/authorized_keys', "must hold no name that begins with '.'"),
         ('crontab', 'must end in .safetensors'),
+        ('left/wheel.safetensors', f'names a folder that is not there: make {folder}/left first'),
     ):
         successful, reason = ask(value)
         assert not successful
         assert words in reason
+    assert sorted(entry.name for entry in folder.iterdir()) == ['out']
+    (folder / 'left').mkdir()
     assert ask('left/wheel.safetensors') == (True, '')
     assert rig.call(Trigger, 'save').message == f'saved to {folder}/left/wheel.safetensors'
     (folder / 'left').rename(folder / 'moved')

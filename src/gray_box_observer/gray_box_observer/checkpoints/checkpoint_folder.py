@@ -25,7 +25,8 @@ class CheckpointFolder:
 
     What is given when the node starts (launch file, YAML, command line) is the word of whoever may
     start processes, and is trusted: an absolute path then declares its own folder. What comes
-    later, over the network, has to stay there, below no folder whose name begins with a dot.
+    later, over the network, has to stay there, in a folder that exists and below none whose name
+    begins with a dot. Only the folders given at the start are made where they are missing.
     Whoever names it, a checkpoint ends in ``.safetensors`` and is no dot file.
 
     Args:
@@ -45,14 +46,16 @@ class CheckpointFolder:
             os.path.normpath(folder_path.absolute())
         )  # as it was given: no link is followed
         self._configured_path = None if folder else path
-        self.file(path)
+        self._start_folder: Path | None = None
+        self._start_folder = self.file(path).parent
 
     def file(self, path: str) -> Path:
         """Return the file that a path means: relative to the folder, or absolute and inside it.
 
         Raises:
             ConfigurationError: it is no file name, or leads out of the folder, be it by ``..`` or
-                by a symbolic link.
+                by a symbolic link; or it names a folder that is not there and was not given at
+                the start.
         """
         requested_file = Path(path)
         if not requested_file.name or not path.isprintable():
@@ -87,7 +90,17 @@ class CheckpointFolder:
                 'give a path in there, or another checkpoint.folder when the node starts'
             )
         _check_name(path, (*real_file.relative_to(real_folder).parts, requested_file.name))
+        self._check_parent(path, file.parent)
         return file
+
+    def _check_parent(self, path: str, parent: Path) -> None:
+        """Refuse a folder that would have to be made, unless it was given at the start."""
+        if self._start_folder in (None, parent) or parent == self.folder or parent.is_dir():
+            return
+        raise ConfigurationError(
+            f'checkpoint.path {path!r} names a folder that is not there: make {parent} first; only '
+            'folders given when the node starts are made'
+        )
 
 
 def _check_name(path: str, parts: tuple[str, ...]) -> None:
