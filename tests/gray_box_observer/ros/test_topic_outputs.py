@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +17,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_group import GroupResult
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.ros.observer.message_templates import (
     JointMessages,
     MessageTemplate,
@@ -303,3 +308,22 @@ def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_fall
         outputs.forecast(('motor',), stamp_ns, np.array([0.5]))
     stamps = [deserialize_message(data, JointState).header.stamp for _, data in node.sent]
     assert [(stamp.sec, stamp.nanosec) for stamp in stamps] == [(2**31 - 1, 999_999_999)] * 2
+
+
+def test_a_test_of_the_fit_publishes_no_estimate_that_is_not_finite(monkeypatch) -> None:
+    node, configuration = Node(), Configuration.from_flat({'predictor': False})
+    outputs, observer = Outputs(node, configuration), Observer(configuration)
+    observer.voltage('motor', 1, 5.0)
+    observer.torque('motor', 1, 0.1)
+    group = observer.group_of('motor')
+    real = ParameterBelief.published
+    monkeypatch.setattr(
+        ParameterBelief,
+        'published',
+        lambda *given: replace(real(*given), value=np.full((1, 3), np.nan)),
+    )
+    monkeypatch.setattr(MotorObserver, 'retested', lambda self: {0: True})
+    observer.contain(group, partial(outputs.publish_tested, group))
+    assert 'not finite' in observer.incidents['motor'].reason
+    assert not sent_to(node, 'resistance', Float64)
+    assert not sent_to(node, 'covariance', Float64MultiArray)

@@ -315,8 +315,12 @@ class MotorObserver:
         return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
-        """Return the present values of all or some motors, as far as fit and scales allow."""
-        return self._belief.published(self._believed(motors), motors)
+        """Return the present values of all or some motors, as far as fit and scales allow.
+
+        Raises:
+            ArithmeticError: they are not finite.
+        """
+        return self._belief.published(self._believed(motors), motors).checked()
 
     def _believed(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of all or some motors, believed as far as the fit allows."""
