@@ -4,7 +4,8 @@
         [--longest 10000] [--runs N]
 
 Every combination of number of motors, source of the speed, rate of voltage to rate of torque, and
-predictor on or off is one run. In a run signals come regularly, between 0 and 10,000 times. Then
+predictor on or off is one run. The network of one motor is trained, a step a job; those of several
+are not. In a run signals come regularly, between 0 and 10,000 times. Then
 some of them are missing for a while, in one of three ways: no message, a message of NaN, a message
 without some of the motors. This repeats, and at the end all come again. Every sample, estimate,
 prediction and forecast must be finite, every message accounted for, and every motor observed again.
@@ -26,11 +27,12 @@ from functools import cache
 import numpy as np
 from figures import Figure, tell
 from tqdm import tqdm
-from watched_core import WatchedCore
+from watched_core import IdleTraining, WatchedCore
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.predictor import InlineTraining
 
 TICK_NS = 10_000_000
 MOTORS = (1, 2, 9, 64)
@@ -69,7 +71,13 @@ class Case:
     def settings(self) -> dict[str, object]:
         """Parameters of the observer."""
         own = {'speed.topic': 'motor/speed'} if self.speed == 'own topic' else {}
-        return {'motors': list(self.names), 'predictor': self.predictor, 'horizon_s': 0.05, **own}
+        fixed = {'motors': list(self.names), 'predictor': self.predictor, 'horizon_s': 0.05}
+        return {**fixed, 'training.steps': 1, **own}
+
+    @property
+    def is_taught(self) -> bool:
+        """Whether the network of its predictor is trained, as of one motor it is."""
+        return self.predictor and self.motors == 1
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -123,7 +131,7 @@ class Run:
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        self.core = WatchedCore(case.settings)
+        self.core = WatchedCore(case.settings, InlineTraining if case.is_taught else IdleTraining)
         self.messages = 0
         self._tick = 0
 

@@ -53,6 +53,16 @@ KINDS = (
     'motor', 'zero', 'constant', 'huge', 'tiny', 'spikes', 'NaN', 'infinite', 'beyond', 'some NaN',
     'flicker',
 )  # fmt: skip
+ROTOR_NODES = ['inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction']
+ROTORS = tuple(
+    ('rotor', {'*.context_nodes': ROTOR_NODES, '*.speed_source': source})
+    for source in ('rotor', 'measured')
+)
+INPUTS = {
+    'voltage.expression': {'raw.topic': 'motor/voltage', 'raw.field': 'effort'},
+    'speed.expression': {'angle.topic': 'motor/speed', 'angle.field': 'velocity'},
+}
+"""What an expression is of: its input comes on the topic of its signal."""
 GAPS_MS = (1, 5, 150, 210, 300, 499, 600, 3000, 10**8, -5, -300, -2000, -(10**8))
 
 
@@ -74,10 +84,15 @@ class Setup:
     @property
     def settings(self) -> dict[str, Any]:
         """Flat parameters; those of a motor are for all of them."""
-        own = {'speed.topic': 'motor/speed'} if self.speed == 'own topic' else {}
+        is_plain = self.speed == 'own topic' and 'speed.expression' not in dict(self.changes)
+        own = {'speed.topic': 'motor/speed'} if is_plain else {}
         changed: dict[str, Any] = {}
         for name, value in self.changes:
-            changed |= {name.replace('*', motor): value for motor in self.names}
+            values = value if name == 'rotor' else {name: value}
+            for key, one in values.items():
+                changed |= {key.replace('*', motor): one for motor in self.names}
+            if name.endswith('.expression'):
+                changed |= INPUTS[name]
         fixed = {'motors': list(self.names), 'predictor': self.predictor, 'training.steps': 1}
         return {**fixed, **own, **changed}
 
@@ -144,6 +159,10 @@ def setups() -> st.SearchStrategy[Setup]:
                 ('gap_s', 5.0),
                 ('hold_s', 0.0),
                 ('*.speed_source', 'torque_constant'),
+                *ROTORS,
+                ('torque.quantity', 'current'),
+                ('voltage.expression', '0.5 * raw'),
+                ('speed.expression', 'diff(angle)'),
                 ('*.context_nodes', ['inductance', 'resistance']),
                 ('*.context_nodes', ['inductance', 'resistance', 'hysteresis', 'brush_drop']),
             )
@@ -163,7 +182,7 @@ def setups() -> st.SearchStrategy[Setup]:
 
 def actions() -> st.SearchStrategy[Action]:
     """Draw what befalls an observer."""
-    counts = st.one_of(st.integers(1, 80), st.sampled_from((130, 300, 1000, 1021, 1100)))
+    counts = st.one_of(st.integers(1, 80), st.sampled_from((130, 300, 1000, 1021, 1100, 3000)))
     regular = st.builds(
         Regular,
         count=counts,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from core_search import (
+    ROTORS,
     SEQUENCES,
     Action,
     Gap,
@@ -60,9 +61,39 @@ BROKEN: dict[str, tuple[Setup, list[Action]]] = {
         Setup(speed='in torque', predictor=False),
         [Regular(1021, period_ms=1), Operation('restart'), Regular(300, period_ms=1)],
     ),
+    'a fit beside a speed of its own topic, which goes on when the bag has ended': (
+        Setup(speed='own topic', predictor=False),
+        [Regular(1500)],
+    ),
+    'a measured rotor whose speed comes with the torque': (
+        Setup(speed='in torque', predictor=False, changes=ROTORS[1:]),
+        [Regular(1100), Gap(300), Regular(300)],
+    ),
+}
+
+KINDS: dict[str, tuple[Setup, list[Action]]] = {
+    'a hidden rotor, whose windows are searched piece by piece': (
+        Setup(predictor=False, changes=ROTORS[:1]),
+        [Regular(1500), Operation('restart'), Regular(300)],
+    ),
+    'a current and a voltage that is an expression': (
+        Setup(changes=(('torque.quantity', 'current'), ('voltage.expression', '0.5 * raw'))),
+        [Regular(1021), Regular(55, missing=('voltage',)), Regular(100)],
+    ),
+    'a speed that is the rate of an angle': (
+        Setup(speed='own topic', changes=(('speed.expression', 'diff(angle)'),)),
+        [Regular(300), Regular(30, missing=('speed',)), Regular(100)],
+    ),
 }
 
 
 @pytest.mark.parametrize('name', BROKEN)
 def test_what_once_broke_something_does_so_no_more(name: str) -> None:
     examine(*BROKEN[name])
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_a_rotor_a_current_and_an_expression_are_the_same_whichever_door_they_take(
+    name: str,
+) -> None:
+    examine(*KINDS[name])

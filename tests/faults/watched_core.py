@@ -13,7 +13,9 @@ import numpy as np
 
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.message_input import InputResult, MessageInput
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.observer import Observer
@@ -75,6 +77,10 @@ class WatchedCore:
         self.observer = Observer(configuration, self._training)
         self._message_input = MessageInput(self.observer, configuration)
         self._delivered: Counter[str] = Counter()
+        self._topics = {
+            signal: feed.topic for feed in configuration.feeds for signal in feed.signals
+        }
+        """Of inputs of expressions; one a signal here."""
 
     @property
     def digest(self) -> str:
@@ -93,16 +99,20 @@ class WatchedCore:
     def feed_view(self, signal: str, message: Any) -> None:
         """Take one message with the fields of a JointState."""
         self._delivered[signal] += 1
-        taken = self._message_input.ingest(signal, message, 0)
+        taken = self._message_input.ingest(signal, message, 0, self._topics.get(signal, ''))
         if self._asks:
             self._ask(signal, taken)
         for result in taken.groups:
             self._look_at_result(result)
 
     def flush(self) -> None:
-        """Learn what still waits, as at the end of a bag."""
+        """Learn what still waits and finish what is begun, as at the end of a bag."""
+        for group_result in self._message_input.flush():
+            self._look_at_result(group_result)
         for result in self.observer.flush():
             self._reckon(result)
+        for name in self.observer.finish():
+            self._reckon_estimate(name, self.observer.motors[name].estimate)
 
     def _ask(self, signal: str, taken: InputResult) -> None:
         """Ask what a node asks after a message."""
@@ -160,7 +170,15 @@ class WatchedCore:
         assert not incidents, f'a defect has stopped motors: {incidents}'
         for signal, delivered in self._delivered.items():
             known = self._message_input.message_counts[signal]
-            self.unbalanced += abs(delivered - known)
+            waits = isinstance(self._message_input.signals[signal], CombinedSignal)
+            self.unbalanced += 0 if waits else abs(delivered - known)
+        self._balance_speed()
+
+    def _balance_speed(self) -> None:
+        """Compare the refused speeds of a motor alone with what came; none may be more."""
+        for name in self.observer.configuration.motors:
+            refused = self.observer.counts(name).refusal_counts.get('speed', Counter()).total()
+            self.unbalanced += max(0, refused - self._message_input.message_counts['speed'])
 
     def close(self) -> None:
         """Balance the books and stop."""
@@ -196,9 +214,13 @@ class WatchedCore:
             self._forecasts.update(np.where(np.isnan(torque_nm), np.nan, torque_nm).tobytes())
         estimate = result.estimate
         if estimate is not None:
-            self._look_at(estimate.value, estimate.covariance)
-            self._estimates.update(result.motor.encode() + np.int64(estimate.stamp_ns).tobytes())
-            self._estimates.update(estimate.value.tobytes() + estimate.covariance.tobytes())
+            self._reckon_estimate(result.motor, estimate)
+
+    def _reckon_estimate(self, motor: str, estimate: Estimate) -> None:
+        """Look at an estimate, and take it into the digest."""
+        self._look_at(estimate.value, estimate.covariance)
+        self._estimates.update(motor.encode() + np.int64(estimate.stamp_ns).tobytes())
+        self._estimates.update(estimate.value.tobytes() + estimate.covariance.tobytes())
 
     def _look_at(self, *arrays: Any) -> None:
         for array in arrays:

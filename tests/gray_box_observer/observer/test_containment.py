@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import traceback
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,16 @@ from safetensors import safe_open
 from gray_box_observer.bag.joint_state import encode_joint_state
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.identify.command import EXIT_STOPPED, main
 from gray_box_observer.identify.offline_run import run
 from gray_box_observer.observer.incident import MAX_FILES, file_names
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.samples import Rejection
+from gray_box_observer.observer.parameter_belief import ParameterBelief
+from gray_box_observer.samples import Pairing, Rejection
 from gray_box_observer.settings.configuration import Configuration
 
 PERIOD_NS = 10_000_000
@@ -157,6 +161,88 @@ def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch, part):
     feed(observer, ('motor',), range(FAILS_AT, 300))
     assert 'not finite' in observer.incidents['motor'].reason
     assert not observer.motors
+
+
+def poison(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every number that is asked for be none."""
+    real = ParameterBelief.published
+
+    def poisoned(self, estimate, motors=slice(None)):
+        estimate = real(self, estimate, motors)
+        return replace(estimate, value=np.full(estimate.value.shape, np.nan))
+
+    monkeypatch.setattr(ParameterBelief, 'published', poisoned)
+
+
+def test_a_repeated_sample_gives_out_no_estimate_that_is_not_finite(monkeypatch):
+    observer = observer_of(('motor',))
+    feed(observer, ('motor',), range(FAILS_AT))
+    monkeypatch.setattr(Pairing, 'repeats', lambda self, sample: True)
+    poison(monkeypatch)
+    feed(observer, ('motor',), range(FAILS_AT, 300))
+    assert 'not finite' in observer.incidents['motor'].reason
+
+
+def test_samples_that_are_learnt_anew_give_out_no_estimate_that_is_not_finite(monkeypatch):
+    observer = observer_of(('motor',), **{'motor.delay': 'estimate'})
+    feed(observer, ('motor',), range(300))
+    learner = observer.group_of('motor').observer
+    real = MotorObserver.relearn
+
+    def relearn(self, context_nodes, samples):
+        real(self, context_nodes, samples)
+        poison(monkeypatch)
+
+    monkeypatch.setattr(MotorObserver, 'relearn', relearn)
+    monkeypatch.setattr(learner.delay, 'update', lambda *_, **__: 0.01)
+    feed(observer, ('motor',), range(300, 302))
+    assert 'not finite' in observer.incidents['motor'].reason
+
+
+def test_the_end_gives_out_no_estimate_that_is_not_finite(monkeypatch):
+    observer = observer_of(('motor',))
+    feed(observer, ('motor',), range(FAILS_AT))
+    monkeypatch.setattr(MotorObserver, 'finish', lambda self: True)
+    poison(monkeypatch)
+    assert observer.finish() == ()
+    assert 'not finite' in observer.incidents['motor'].reason
+
+
+def test_whoever_asks_gets_no_estimate_that_is_not_finite(monkeypatch):
+    observer = observer_of(('motor',))
+    feed(observer, ('motor',), range(300))
+    poison(monkeypatch)
+    estimate, is_identified = observer.estimate_of('motor')
+    assert (estimate.is_finite, is_identified) == (True, False)
+    assert observer.estimates() == {}
+    assert 'not finite' in observer.incidents['motor'].reason
+
+
+@pytest.mark.parametrize(
+    ('place', 'ask'),
+    [
+        ('fit', lambda one: one.fit('right').verdict is FitVerdict.UNTESTED),
+        ('estimate', lambda one: one.estimate_of('right')[1] is False),
+        ('parameters_identified', lambda one: not any(one.parameters_identified('right'))),
+        ('fit', lambda one: one.mix_up('right') is None),
+        ('fit', lambda one: one.mix_up('left') is None),
+    ],
+)
+def test_a_defect_that_shows_when_something_is_asked_stops_its_motor_alone(monkeypatch, place, ask):
+    observer = observer_of(('left', 'right'))
+    feed(observer, ('left', 'right'), range(300))
+    broken, real = observer.motors['right'].observer, getattr(MotorView, place)
+    misfit = FitAssessment(FitVerdict.MISFIT, 9.0)
+
+    def answer(self):
+        if self.observer is broken:
+            raise OverflowError('too large')
+        return misfit if place == 'fit' else real.fget(self)
+
+    monkeypatch.setattr(MotorView, place, property(answer))
+    assert ask(observer)
+    assert list(observer.incidents) == ['right']
+    assert list(observer.motors) == ['left']
 
 
 def test_a_device_that_is_gone_ends_everything_as_before(fault):

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros.observer.commentary import PERIOD_S, Commentary
 from gray_box_observer.ros.observer.traffic import MotorTraffic, Traffic
@@ -166,3 +167,26 @@ def test_a_logger_of_rclpy_takes_lines_and_warnings_of_the_same_commentary():
     for used in (1, 0, 0, 1, 0, 0):
         motors = {'motor': MotorTraffic(used, Counter(), {'voltage': used, 'torque': used}, 0)}
         commentary.look(observer, Traffic(1.0, motors, {}, 0.0, 0.0))
+
+
+def test_a_defect_that_shows_while_choices_are_told_stops_its_motor_and_the_rest_is_told(
+    monkeypatch,
+):
+    run = Run(['left', 'right'])
+    for k in range(300):
+        for name in ('left', 'right'):
+            run.observer.voltage(name, k * 10_000_000, 5.0 + k // 7 % 3)
+            run.observer.torque(name, k * 10_000_000, 0.01)
+    broken, real = run.observer.motors['right'].observer, MotorView.effects_reason
+    monkeypatch.setattr(MotorView, 'added_effects', ('brush_drop',))
+
+    def reason(self):
+        if self.observer is broken:
+            raise OverflowError('too large')
+        return real.fget(self)
+
+    monkeypatch.setattr(MotorView, 'effects_reason', property(reason))
+    run.second(used=['left', 'right'])
+    assert list(run.observer.incidents) == ['right']
+    assert 'left: brush_drop added' in run.said[-1][2]
+    assert 'right: brush_drop' not in run.said[-1][2]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +17,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_group import GroupResult
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.ros.observer.message_templates import (
     JointMessages,
     MessageTemplate,
@@ -29,18 +34,21 @@ class Node:
     """Keeps what its publishers are given."""
 
     def __init__(self) -> None:
-        self.sent = []
+        self.sent, self.ended_topics = [], []
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
         return SimpleNamespace(
+            topic=topic,
             publish=lambda message: self.sent.append((topic, message)),
             on_activate=lambda _: None,
             is_activated=True,
+            wait_for_all_acked=lambda _: True,
         )
 
     def destroy_lifecycle_publisher(self, publisher):
         """Let one go."""
+        self.ended_topics.append(publisher.topic)
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:
@@ -206,7 +214,7 @@ def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_0_where_it_is_kno
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0]
     outputs.fit('motor', FitAssessment(FitVerdict.OK, 7.5))
     outputs.retract()
-    outputs.retract_motor('motor')
+    outputs.retract_motors(['motor', 'stranger'])
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0, 7.5, 0.0]
 
 
@@ -243,6 +251,20 @@ def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
     outputs.all_estimates(['motor', 'other'], [(('motor',), estimate)])
     table = node.sent[-1][1]
     assert list(table.data) == [0.0, -1.0, 2.0, 1.0, 0.0, -1.0, 0.0, -1.0]
+
+
+def test_a_number_goes_that_the_next_estimate_does_not_have_any_more() -> None:
+    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance'), 0.01, {}).parameters
+    outputs = Outputs(
+        node, Configuration.from_flat({'motor.context_nodes': ['inductance', 'resistance']})
+    )
+    verdicts = ((Verdict.CONVERGING, Verdict.CONVERGING),)
+    for value, variance in ((1.0, 1.0), (np.nan, np.nan)):
+        estimate = Estimate(
+            1, parameters, np.array([[value, 2.0]]), variance * np.eye(2)[None], verdicts
+        )
+        outputs.estimate('motor', estimate)
+    assert node.ended_topics == ['~/motor/inductance', '~/motor/covariance']
 
 
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:
@@ -286,3 +308,22 @@ def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_fall
         outputs.forecast(('motor',), stamp_ns, np.array([0.5]))
     stamps = [deserialize_message(data, JointState).header.stamp for _, data in node.sent]
     assert [(stamp.sec, stamp.nanosec) for stamp in stamps] == [(2**31 - 1, 999_999_999)] * 2
+
+
+def test_a_test_of_the_fit_publishes_no_estimate_that_is_not_finite(monkeypatch) -> None:
+    node, configuration = Node(), Configuration.from_flat({'predictor': False})
+    outputs, observer = Outputs(node, configuration), Observer(configuration)
+    observer.voltage('motor', 1, 5.0)
+    observer.torque('motor', 1, 0.1)
+    group = observer.group_of('motor')
+    real = ParameterBelief.published
+    monkeypatch.setattr(
+        ParameterBelief,
+        'published',
+        lambda *given: replace(real(*given), value=np.full((1, 3), np.nan)),
+    )
+    monkeypatch.setattr(MotorObserver, 'retested', lambda self: {0: True})
+    observer.contain(group, partial(outputs.publish_tested, group))
+    assert 'not finite' in observer.incidents['motor'].reason
+    assert not sent_to(node, 'resistance', Float64)
+    assert not sent_to(node, 'covariance', Float64MultiArray)

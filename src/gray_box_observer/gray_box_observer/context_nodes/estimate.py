@@ -36,6 +36,10 @@ COUNTS_AS_KNOWN = (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
 """Verdicts under which a controller may lean on a number."""
 
 
+NOT_FINITE = 'an estimate that is not finite'
+"""Why such an estimate is not given out."""
+
+
 def all_finite(array: Array) -> bool:
     """Tell whether every number of a small array is finite; numpy takes longer for a dozen."""
     return all(map(math.isfinite, array.ravel().tolist()))
@@ -80,6 +84,16 @@ class Estimate:
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
         return all_finite(self.value) and all_finite(self.covariance)
+
+    def checked(self) -> Estimate:
+        """Return the estimate itself, where it may be given out.
+
+        Raises:
+            ArithmeticError: a number in it is not finite.
+        """
+        if not self.is_finite:
+            raise ArithmeticError(NOT_FINITE)
+        return self
 
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""

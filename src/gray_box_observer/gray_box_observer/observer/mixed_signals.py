@@ -7,14 +7,13 @@ only another motor's voltage, or current, closes the balance, the names are mixe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import leaky_mean
-from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box.interface import Array
 
@@ -151,22 +150,32 @@ class MixUpSearch:
     def __init__(self) -> None:
         self._answers: dict[str, tuple[FitAssessment, MixUp | None]] = {}
 
-    def find(self, motor: str, motors: Mapping[str, MotorView]) -> MixUp | None:
+    def find(
+        self,
+        motor: str,
+        names: Collection[str],
+        fit_of: Callable[[str], FitAssessment],
+        newest_of: Callable[[str], Array | None],
+    ) -> MixUp | None:
         """Return the motor that one which does not fit is mixed up with; None where none is.
 
         Args:
             motor: its name.
-            motors: all that have been seen.
+            names: of all that have been seen.
+            fit_of: gives how well the white box explains the data of one.
+            newest_of: gives the newest COMPARED samples of one, shape (signal, n); None where they
+                cannot be had.
         """
-        if motor not in motors or not 2 <= len(motors) <= MOST_COMPARED:
+        if motor not in names or not 2 <= len(names) <= MOST_COMPARED:
             return None
-        fit = motors[motor].fit
+        fit = fit_of(motor)
         if fit.verdict is not FitVerdict.MISFIT:
             return None
         last_fit, answer = self._answers.get(motor, (None, None))
         if last_fit != fit:  # asked again where a test has found something else
-            misfits = [n for n in motors if motors[n].fit.verdict is FitVerdict.MISFIT]
-            samples = {n: motors[n].newest(COMPARED) for n in (motor, *misfits)}
-            answer = mix_up(motor, samples)
+            misfits = [n for n in [*names] if fit_of(n).verdict is FitVerdict.MISFIT]
+            newest = {n: newest_of(n) for n in (motor, *misfits)}
+            samples = {n: array for n, array in newest.items() if array is not None}
+            answer = mix_up(motor, samples) if motor in samples else None
             self._answers[motor] = fit, answer
         return answer

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, NOT_FINITE
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
@@ -29,7 +29,7 @@ from gray_box_observer.observer.builder import (
 )
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
-from gray_box_observer.observer.mixed_signals import MixUp, MixUpSearch
+from gray_box_observer.observer.mixed_signals import COMPARED, MixUp, MixUpSearch
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
@@ -187,7 +187,7 @@ class Observer:
         for group in self.every_group:
             if group.observer is None or group.is_stopped:
                 continue
-            if self.contain(group, group.observer.finish):
+            if self.contain(group, partial(_finish, group.observer)):
                 names += group.names
         return tuple(names)
 
@@ -308,6 +308,30 @@ class Observer:
                 estimates.append((group.names, estimate))
         return estimates
 
+    def known_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
+        """Return the same of those motors alone of which anything is known."""
+        estimates = []
+        for group in self.every_group:
+            observer = group.observer
+            if observer is None:
+                continue
+            knowledge = self.contain(group, partial(_known_of, group, observer))
+            if knowledge is not None and knowledge[0]:
+                estimates.append(knowledge)
+        return estimates
+
+    def knows(self, motor: str) -> bool:
+        """Tell whether anything is known of a motor; nothing is of one that has stopped.
+
+        Something is where a sample has moved its values since they were initial, here or before a
+        checkpoint. So it is where one was given so surely that it counts as known.
+        """
+        group, place = self._grouping.place(motor)
+        observer = group.observer
+        if observer is not None:
+            return bool(self.contain(group, lambda: observer.knowledge_flags[place]))
+        return not group.is_stopped and any(self.parameters_identified(motor))
+
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor seen, by its name; part of the Python API.
 
@@ -318,33 +342,49 @@ class Observer:
         return self._of_every_motor(lambda motor: motor.estimate)
 
     def estimate_of(self, motor: str) -> tuple[Estimate, bool]:
-        """Return a motor's belief, and whether all is identified; the given one at first."""
-        view = self.motors.get(motor)
-        if view is None:
-            initial = initial_estimate(self.configuration, self.configuration.motors[motor])
-            return initial, initial.identified(0)
-        return view.estimate, view.identified
+        """Return a motor's belief, and whether all is identified; the given one at first.
+
+        Of a motor that has stopped it is the given one too, and nothing is identified.
+        """
+        belief = self._of(motor, lambda view: (view.estimate, view.identified))
+        if belief is not None:
+            return belief
+        initial = initial_estimate(self.configuration, self.configuration.motors[motor])
+        return initial, motor not in self.incidents and initial.identified(0)
 
     def parameters_identified(self, motor: str) -> tuple[bool, ...]:
         """Return a motor's identified parameters; before it is seen, the given ones."""
-        view = self.motors.get(motor)
-        if view is not None:
-            return view.parameters_identified
+        flags = self._of(motor, lambda view: view.parameters_identified)
+        if flags is not None:
+            return flags
         initial = initial_estimate(self.configuration, self.configuration.motors[motor])
-        return tuple(verdict in COUNTS_AS_KNOWN for verdict in initial.verdicts[0])
+        is_stopped = motor in self.incidents
+        return tuple(
+            not is_stopped and verdict in COUNTS_AS_KNOWN for verdict in initial.verdicts[0]
+        )
 
     def fit(self, motor: str) -> FitAssessment:
         """Return how well the white box explains a motor's data; untested before it is seen."""
-        view = self.motors.get(motor)
-        return FitAssessment() if view is None else view.fit
+        return self._of(motor, lambda view: view.fit) or FitAssessment()
 
     def mix_up(self, motor: str) -> MixUp | None:
         """Return the motor that one which does not fit is mixed up with; None where none is."""
-        return self._mix_ups.find(motor, self.motors)
+
+        def newest_of(name: str) -> Array | None:  # whoever fails stops, not who is asked about
+            return self._of(name, lambda view: view.newest(COMPARED))
+
+        return self._of(
+            motor, lambda _: self._mix_ups.find(motor, self.motors, self.fit, newest_of)
+        )
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return the delay between voltage and torque of every motor that has been seen."""
         return self._of_every_motor(lambda motor: motor.delay)
+
+    def _of(self, motor: str, get: Callable[[MotorView], T]) -> T | None:
+        """Return something of a motor; None where it is not seen yet, or has stopped."""
+        view = self.motors.get(motor)
+        return None if view is None else self.contain(self.group_of(motor), partial(get, view))
 
     def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
         """Return something of every motor that has been seen; what has stopped is left out."""
@@ -518,14 +558,14 @@ class Observer:
             assert observer is not None
             if pairing.repeats(sample):  # it was predicted, scored and reported before
                 again = observer.update_parameters(sample)
-                if again is not None and results:
+                if again is not None and again.checked() and results:
                     results[-1] = replace(
                         results[-1], estimate=again, changed_motors=observer.changed_motors
                     )
                 continue
             update, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
-                raise ArithmeticError('an estimate that is not finite')
+                raise ArithmeticError(NOT_FINITE)
             results.append(
                 GroupResult(
                     group, sample, update.prediction, observer.changed_motors, estimate, update
@@ -571,6 +611,26 @@ class Observer:
     def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
         """Results of groups, motor by motor."""
         return [one for result in results for one in self.results(result)]
+
+
+def _finish(observer: MotorObserver) -> bool:
+    """Do what is left; tell whether an estimate has changed, which may then be given out.
+
+    Raises:
+        ArithmeticError: it is not finite.
+    """
+    has_changed = observer.finish()
+    if has_changed:
+        observer.estimate()
+    return has_changed
+
+
+def _known_of(group: Group, observer: MotorObserver) -> tuple[tuple[str, ...], Estimate]:
+    """Return names and estimates of the motors of a group of which anything is known."""
+    places = np.flatnonzero(observer.knowledge_flags)
+    if places.size == len(group.names):
+        return group.names, observer.estimate()
+    return tuple(group.names[place] for place in places.tolist()), observer.estimate(places)
 
 
 def _saved_kind(plain: dict[str, Any]) -> FormKind:

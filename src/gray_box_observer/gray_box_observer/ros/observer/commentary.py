@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros.observer.traffic import Traffic
 from gray_box_observer.safe_io.finite import words_of
@@ -156,20 +158,27 @@ class Commentary:
 
     def _choices(self, observer: Observer) -> list[str]:
         """Motors that are observed by another form than before, and why."""
+        phrases: list[str] = []
+        for name, motor in [*observer.motors.items()]:  # one that fails leaves them
+            choice_news = partial(self._choice, name, motor)
+            phrases += observer.contain(observer.group_of(name), choice_news) or []
+        return phrases
+
+    def _choice(self, name: str, motor: MotorView) -> list[str]:
+        """What the data have chosen for one motor since it was told last."""
         phrases = []
-        for name, motor in observer.motors.items():
-            choice = motor.observer.form_choice
-            if choice.is_open and motor.added_effects != self._effects.get(name, ()):
-                self._effects[name] = motor.added_effects
-                effect_names = ' and '.join(motor.added_effects) or 'no effects'
-                phrases.append(f'{name}: {effect_names} added: {motor.effects_reason}')
-            if not choice.speed_is_open:
-                continue
-            source = motor.white_box.speed_source
-            before = self._speed_sources.setdefault(name, 'torque_constant')
-            if source != before:
-                self._speed_sources[name] = source
-                phrases.append(f'{name}: speed from {source}: {motor.speed_reason}')
+        choice = motor.observer.form_choice
+        if choice.is_open and motor.added_effects != self._effects.get(name, ()):
+            self._effects[name] = motor.added_effects
+            effect_names = ' and '.join(motor.added_effects) or 'no effects'
+            phrases.append(f'{name}: {effect_names} added: {motor.effects_reason}')
+        if not choice.speed_is_open:
+            return phrases
+        source = motor.white_box.speed_source
+        before = self._speed_sources.setdefault(name, 'torque_constant')
+        if source != before:
+            self._speed_sources[name] = source
+            phrases.append(f'{name}: speed from {source}: {motor.speed_reason}')
         return phrases
 
     def _verdict_changes(self, observer: Observer) -> tuple[list[str], bool]:
