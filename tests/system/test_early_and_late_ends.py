@@ -17,14 +17,17 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 LOADING = """
 import importlib, importlib.abc, sys, time
 
+executable, slow_module = sys.argv[1:]
+del sys.argv[1:]
+
 class Slow(importlib.abc.MetaPathFinder):
     def find_spec(self, name, *_):
-        if name == sys.argv[2]:
+        if name == slow_module:
             print('loading', flush=True)
             time.sleep(100.0)
 
 sys.meta_path.insert(0, Slow())
-package, _, name = sys.argv[1].partition(':')
+package, _, name = executable.partition(':')
 raise SystemExit(getattr(importlib.import_module(f'{package}.executables'), name)())
 """
 
@@ -51,12 +54,24 @@ LOADED = {
     'gray_box_observer:observer': 'gray_box_observer.ros.observer.observer_node',
     'gray_box_observer:recorder': 'gray_box_observer.ros.bags.recorder_node',
     'gray_box_observer:player': 'gray_box_observer.ros.bags.player_node',
+    'gray_box_observer:watch': 'gray_box_observer.ros.watching.watch_command',
+    'gray_box_observer:dashboard': 'gray_box_observer.ros.watching.dashboard_command',
 }
 """What each node loads."""
+
+LOADED_LATER = [
+    ('gray_box_observer:watch', 'gray_box_observer.ros.watching.watch_node'),
+    ('gray_box_observer:dashboard', 'gray_box_observer.ros.watching.dashboard_node'),
+]
+"""What those load that read their command line first."""
 
 REFUSED = {
     'dc_motor_sim:motor_sim': ('--ros-args', '-p', 'sample_rate_hz:=fast'),
     'gray_box_observer:observer': ('--ros-args', '-p', 'gap_s:=-1.0'),
+    'gray_box_observer:recorder': ('--ros-args', '-p', 'duration_s:=-1.0'),
+    'gray_box_observer:player': ('nowhere',),
+    'gray_box_observer:watch': ('nowhere',),
+    'gray_box_observer:dashboard': ('--address', '203.0.113.1'),
     'gray_box_observer:identify': ('nowhere',),
 }
 """Arguments that each ends with once it has begun."""
@@ -78,9 +93,11 @@ def start(script: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.parametrize('name', LOADED)
-def test_a_signal_while_modules_are_loaded_ends_a_node_without_a_word(name: str) -> None:
-    processes = {number: start(LOADING, name, LOADED[name]) for number in SIGNALS}
+@pytest.mark.parametrize(('name', 'module'), [*LOADED.items(), *LOADED_LATER])
+def test_a_signal_while_modules_are_loaded_ends_a_node_without_a_word(
+    name: str, module: str
+) -> None:
+    processes = {number: start(LOADING, name, module) for number in SIGNALS}
     for number, process in processes.items():
         assert process.stdout.readline() == 'loading\n'
         process.send_signal(number)

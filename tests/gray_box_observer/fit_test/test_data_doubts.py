@@ -219,6 +219,19 @@ def test_a_short_record_contradicts_its_data_sheet_before_anything_is_identified
         assert _sheet_doubt(k, as_current, 'torque', plant.resistance, 0.0) is None, 'no sheet'
 
 
+@drawn_motor
+def test_a_torque_that_is_read_as_a_current_contradicts_its_data_sheet(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    samples = samples[:, :600]
+    assert _sheet_doubt(k, samples, 'current', plant.resistance) is None
+    as_torque = _scaled(samples, TORQUE, plant.torque_constant)  # a torque taken for a current
+    if plant.torque_constant < 0.2:
+        suspect = _sheet_doubt(k, as_torque, 'current', plant.resistance)
+        assert suspect is not None
+        assert 'torque.quantity: torque (it is current now)' in suspect.remedy
+        assert _sheet_doubt(k, as_torque, 'current', plant.resistance, 0.0) is None, 'no sheet'
+
+
 @pytest.mark.parametrize(
     ('inductance', 'resistance', 'names_unit'),
     [(1e3, 1e3, True), (1e3, 1.0, False), (1e3, 1e2, False)],

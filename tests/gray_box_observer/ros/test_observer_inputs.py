@@ -201,6 +201,38 @@ def test_a_publisher_by_best_effort_is_heard_without_an_override(rig, record):
     assert 'offers less' not in said
 
 
+def test_a_battery_by_best_effort_is_heard_as_an_input_without_an_override(rig):
+    """It is sent anew until it has come, for nothing else makes up for what is lost."""
+    rig.start(
+        voltage__expression='duty * battery',
+        duty__topic='duty',
+        duty__type='sensor_msgs/msg/JointState',
+        duty__field='effort',
+        battery__topic='battery_state',
+        battery__type='sensor_msgs/msg/BatteryState',
+        battery__field='voltage',
+        battery__stale_s=60.0,
+    )
+    duty = rig.peer.publisher(JointState, 'duty', RELIABLE, readers=1)
+    torque = rig.peer.publisher(JointState, 'motor/torque', RELIABLE, readers=1)
+    battery = rig.peer.publisher(BatteryState, 'battery_state', BEST_EFFORT)
+    rig.peer.wait(battery.get_subscription_count, 'the observer to listen by best effort')
+    stamp_ns = START_NS
+
+    def samples_used() -> bool:
+        nonlocal stamp_ns
+        stamp_ns += 10_000_000
+        battery.publish(stamped(BatteryState(voltage=12.0), stamp_ns))
+        duty.publish(stamped(JointState(name=['motor'], effort=[0.5]), stamp_ns))
+        torque.publish(rig.state('motor', stamp_ns, 0.01))
+        return int(rig.values().get('samples used', '0')) > 10
+
+    rig.peer.wait(samples_used, 'samples whose voltage needs the battery')
+    said = rig.peer.end(rig.process)[2]
+    assert said.count('a publisher of /battery_state offers best effort') == 1
+    assert 'offers less' not in said
+
+
 def test_a_publisher_of_lesser_quality_is_named_with_the_override_that_mends_it(rig):
     """Reliability that was asked for is not given up."""
     override = 'qos_overrides./motor/torque.subscription.reliability:=reliable'

@@ -105,6 +105,39 @@ def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, 
     assert heard == sent
 
 
+def interrupted_twice(peer, process) -> tuple[int, str]:
+    """Interrupt a process twice at once, as terminal and launch do; return its end."""
+    process.send_signal(signal.SIGINT)
+    code, _, said = peer.end(process, signal.SIGINT)
+    return code, said
+
+
+def test_a_recorder_that_is_interrupted_twice_at_once_completes_its_bag(peer, tmp_path):
+    folder = tmp_path / 'bag'
+    recorder = peer.start(RECORDER, '-o', str(folder))
+    publisher = peer.publisher(JointState, 'motor/voltage', SIGNAL_QOS, readers=1)
+    sent = [serialize_message(message) for message in series(200)]
+    for data in sent:
+        publisher.publish(data)
+    assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
+    code, said = interrupted_twice(peer, recorder)
+    assert code == 0
+    assert '200 messages of 1 topics' in said
+    with BagReader(folder) as bag:
+        assert bag.loss is None
+        assert [message.data for message in bag.messages()] == sent
+
+
+def test_a_player_that_is_interrupted_twice_at_once_ends_well(peer, tmp_path):
+    heard = peer.listen(JointState, 'motor/torque', SIGNAL_QOS)
+    bag = make_bag(tmp_path / 'bag', [0.0, 0.1, 0.2, 3600.0])
+    player = peer.start(PLAYER, str(bag))
+    peer.wait(lambda: len(heard) == 3, 'the messages before the pause')
+    code, said = interrupted_twice(peer, player)
+    assert code == 0
+    assert '3 messages replayed' in said
+
+
 def test_a_killed_recorder_leaves_a_readable_bag_with_little_lost(peer, tmp_path):
     folder = tmp_path / 'bag'
     recorder = peer.start(RECORDER, '-o', str(folder))

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.identify.offline_run import Outcome
 from gray_box_observer.observer.incident import in_words
@@ -74,7 +73,7 @@ def assumptions_of(outcome: Outcome) -> list[str]:
     return [
         f'motor {name}: {text}'
         for name, motor in outcome.observer.motors.items()
-        for text in assumptions(motor.configuration, motor.white_box).values()
+        for text in motor.assumptions.values()
     ]
 
 

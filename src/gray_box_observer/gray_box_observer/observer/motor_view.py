@@ -15,6 +15,7 @@ from gray_box_observer.context_nodes.derived_constants import (
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
@@ -22,6 +23,9 @@ from gray_box_observer.samples import ReplayBuffer
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
+
+MOST_JUDGED = 1000
+"""Newest samples whose sizes are looked at when assumptions are told."""
 
 ALARM_REMEDY = (
     'torque is not what voltage and the identified parameters explain: '
@@ -85,6 +89,11 @@ class MotorView:
     def configuration(self) -> MotorConfiguration:
         """What is known of it beforehand, in the form that it has now."""
         return self.observer.configuration_of(self.place)
+
+    @property
+    def assumptions(self) -> dict[str, str]:
+        """What is taken for granted of it, by short name; the sizes of newest samples count too."""
+        return assumptions(self.configuration, self.white_box, self.newest(MOST_JUDGED))
 
     @property
     def speed_reason(self) -> str:

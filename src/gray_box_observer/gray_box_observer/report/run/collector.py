@@ -10,7 +10,6 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
-from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.whole_run import autocorrelation, white_box_torque
 from gray_box_observer.observer.motor_view import ALARM_REMEDY, MotorView
 from gray_box_observer.observer.observer import Observer, Result
@@ -260,7 +259,7 @@ def notes(name: str, observer: Observer) -> list[str]:
     if motor.added_effects:
         names = ' and '.join(name.replace('_', ' ') for name in motor.added_effects)
         sentences.append(f'Added to what is identified: {names}: {motor.effects_reason}.')
-    assumption_texts = assumptions(motor.configuration, motor.white_box)
+    assumption_texts = motor.assumptions
     sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumption_texts.values()]
     delay = motor.delay
     complaint = motor.delay_complaint

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.fit_test import FitAssessment
-from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.safe_io.finite import words_of
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
         values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
     if view.stall is not None:
         values['stalls'] = str(view.stall.count)
-    assumption_texts = assumptions(view.configuration, view.white_box)
+    assumption_texts = view.assumptions
     values['assumptions'] = '; '.join(assumption_texts.values()) or 'none'
     delay = view.delay
     values['delay in words'] = delay.words

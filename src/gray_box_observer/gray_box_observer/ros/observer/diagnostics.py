@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.motor_view import ALARM_REMEDY
@@ -344,7 +343,7 @@ def _small_print(motor: str, now: Situation) -> str:
     if names:
         note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
     view = now.observer.motors[motor]
-    assumption_texts = assumptions(view.configuration, view.white_box)
+    assumption_texts = view.assumptions
     if assumption_texts:
         note += f'; assumed: {", ".join(assumption_texts)}, see assumptions'
     return note
