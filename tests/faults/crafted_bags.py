@@ -367,6 +367,22 @@ def other_type(definition: str, data: bytes) -> Craft:
 
 
 _PART = '\n' + '=' * 80 + '\nMSG: evil/Part\n'
+
+
+def tree(depth: int, leaf: str) -> str:
+    """A type that holds two of the next type, which holds two of the next, and so on."""
+    separator = _PART.removesuffix('Part\n')
+    levels = (f'{separator}A{k}\nA{k + 1} x\nA{k + 1} y' for k in range(depth))
+    return f'A0 effort{"".join(levels)}{separator}A{depth}\n{leaf}\n'
+
+
+def chain_of(depth: int) -> str:
+    """Entries of one byte, each below so many types that hold the next alone."""
+    separator = _PART.removesuffix('Part\n')
+    levels = (f'{separator}A{k}\nA{k + 1} x' for k in range(depth))
+    return f'A0[] effort{"".join(levels)}{separator}A{depth}\nuint8 x\n'
+
+
 DEFINITIONS: dict[str, tuple[str, bytes]] = {
     'a_fixed_array_of_nothing': (f'Part[4000000000] effort{_PART}uint8[0] x\n', bytes(8)),
     'a_sequence_of_nothing': (
@@ -378,6 +394,17 @@ DEFINITIONS: dict[str, tuple[str, bytes]] = {
     'a_type_that_holds_itself': (f'Part effort{_PART}Part x\n', bytes(8)),
     'a_sequence_of_bytes_as_parts': (
         f'Part[] effort{_PART}uint8 x\n',
+        bytes(4) + struct.pack('<I', 260_000) + bytes(260_000),
+    ),
+    'a_fixed_array_of_byte_arrays': (f'Part[4000000000] effort{_PART}uint8[1] x\n', bytes(8)),
+    'a_sequence_of_long_byte_arrays': (
+        f'Part[] effort{_PART}uint8[4000000000] x\n',
+        bytes(4) + struct.pack('<I', 4_000_000_000),
+    ),
+    'a_tree_of_byte_arrays': (tree(40, 'uint8[1] x'), bytes(8)),
+    'a_tree_of_empty_types': (tree(40, ''), bytes(4 + 260_000)),
+    'a_sequence_of_chains': (
+        chain_of(60),
         bytes(4) + struct.pack('<I', 260_000) + bytes(260_000),
     ),
     'a_long_definition': (

@@ -18,6 +18,9 @@ NAMES = (
     'sparse_summary',
     'statistics_of_many',
     'long_definitions',
+    'a_fixed_array_of_byte_arrays',
+    'a_tree_of_byte_arrays',
+    'a_sequence_of_chains',
 )
 
 

@@ -227,6 +227,6 @@ def field_names(message: Any) -> list[str]:
     describe = getattr(message, 'get_fields_and_field_types', None)
     if callable(describe):
         return list(describe())
-    # mcap's decoded messages have slots over an empty __dict__.
+    # Decoded messages have slots; those of mcap_ros2 have them over an empty __dict__.
     slots = getattr(type(message), '__slots__', None)
     return list(slots) if slots else list(getattr(message, '__dict__', ()))

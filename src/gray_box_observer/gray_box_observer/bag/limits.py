@@ -15,6 +15,11 @@ Python a part: up to 200 bytes for one."""
 LARGEST_DEFINITION_BYTES = 1 << 18
 """Of the text of a type that is parsed; ROS's own are of some kilobytes, the longest known of some
 tens."""
+MOST_MESSAGE_VALUES = 1 << 19
+"""Objects and fields of a message that the general decoder makes: two for each of its bytes, where
+those of ROS take some bytes for each."""
+MOST_NESTING = 64
+"""Types in types of a definition; those of ROS go ten deep."""
 LARGEST_DECLARATION_BYTES = 4 << 20
 MOST_DECLARED_BYTES = 32 << 20
 """What schemas and channels of one file may hold together; those of ROS are some kilobytes each."""

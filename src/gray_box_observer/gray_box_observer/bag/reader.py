@@ -16,9 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
-
 from gray_box_observer.bag.bag_files import BagFiles
 from gray_box_observer.bag.contents import Loss, TopicInfo
 from gray_box_observer.bag.data_loss import Losses
@@ -30,6 +27,7 @@ from gray_box_observer.bag.limits import (
 )
 from gray_box_observer.bag.mcap.mcap_content import RawMessage
 from gray_box_observer.bag.mcap.mcap_records import Channel
+from gray_box_observer.bag.message_decoder import message_decoder
 from gray_box_observer.errors import BagError
 
 _LOG_TIME = itemgetter(4)
@@ -156,7 +154,7 @@ class BagReader:
             key = (message.type_name, message.schema_text)
             decoder = decoders.get(key)
             if decoder is None:
-                decoder = decoders[key] = self._decoder(message, len(decoders) + 1)
+                decoder = decoders[key] = self._decoder(message)
             try:
                 if len(message.data) > LARGEST_GENERAL_MESSAGE_BYTES:
                     raise BagError(
@@ -170,7 +168,7 @@ class BagReader:
                 continue
             yield message, content
 
-    def _decoder(self, message: RawMessage, number: int) -> Callable[[bytes], Any]:
+    def _decoder(self, message: RawMessage) -> Callable[[bytes], Any]:
         if not message.schema_text:
             raise BagError(
                 f'{self.path}: no definition of {message.type_name or message.topic} in the bag'
@@ -181,22 +179,20 @@ class BagReader:
                 f'{len(message.schema_text)} letters, '
                 f'expected at most {LARGEST_DEFINITION_BYTES}'
             )
-        schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
         encoding = self._topics[message.topic].encoding
+        if encoding != 'cdr':
+            raise BagError(
+                f"{self.path}: {message.topic} is encoded as {encoding!r}, expected 'cdr'"
+            )
         try:
             with (
                 redirect_stdout(io.StringIO()),
                 redirect_stderr(io.StringIO()),
             ):  # the parser prints what it refuses
-                decoder = DecoderFactory().decoder_for(encoding, schema)
+                return message_decoder(message.type_name, message.schema_text)
         except Exception as error:  # whatever a foreign parser makes of a foreign text
-            reason = ' '.join(f'{message.type_name} cannot be understood: {error}'.split())
+            reason = ' '.join(f'{message.type_name} cannot be used: {error}'.split())
             raise BagError(f'{self.path}: the definition of {reason}') from None
-        if decoder is None:
-            raise BagError(
-                f"{self.path}: {message.topic} is encoded as {encoding!r}, expected 'cdr'"
-            )
-        return decoder
 
     def _account(self) -> None:
         """Find topics, counts and times, from credible summaries or else by reading."""
