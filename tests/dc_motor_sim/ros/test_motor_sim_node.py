@@ -348,6 +348,15 @@ def test_a_section_that_names_the_simulator_holds_nothing_but_its_parameters(pee
     assert 'no parameter of motor_sim, ignored: gap_s; ' in said
 
 
+def test_what_an_error_quotes_is_shown_and_not_obeyed(peer):
+    words = ('--ros-args', '--params-file', '/no\x1b[31mred')
+    code, _, err = peer.end(peer.start(MODULE, *words), None)
+    (line,) = [line for line in err.splitlines() if 'error:' in line]
+    assert code == 2
+    assert line.isprintable()
+    assert r'parameter file /no\x1b[31mred: cannot be read' in line
+
+
 def test_help_names_the_parameters_and_starts_nothing(peer):
     code, out, err = peer.end(peer.start(MODULE, '--help'), None)
     assert code == 0

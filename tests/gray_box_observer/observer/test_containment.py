@@ -355,6 +355,14 @@ def test_an_observer_that_cannot_even_tell_its_state_is_reported_all_the_same(
     assert incident.write(tmp_path / 'new folder' / 'state.safetensors').exists()
 
 
+def test_the_reason_shows_what_a_defect_quotes_and_a_terminal_would_obey():
+    observer = observer_of(('motor',))
+    feed(observer, ('motor',), range(FAILS_AT))
+    group: Group = observer.group_of('motor')
+    observer.stop(group, ValueError('\x1b[31mred'))
+    assert observer.incidents['motor'].reason == r'ValueError: \x1b[31mred'
+
+
 def test_a_checkpoint_is_not_overwritten_by_one_without_any_motor(fault, tmp_path):
     path = tmp_path / 'state.safetensors'
     observer = observer_of(('motor',))

@@ -32,6 +32,11 @@ def check(args: Sequence[str]) -> None:
             check_file(value)
 
 
+def printable(text: str) -> str:
+    """Return a text whose unprintable characters are shown: a terminal would obey some."""
+    return ''.join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
 def parameter_names(args: Sequence[str]) -> set[str]:
     """Names of parameters that a command line gives: of ``-p NODE:NAME:=VALUE`` the name."""
     return {

@@ -395,7 +395,7 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
 def _fail(error: object, status: int = 2) -> int:
     """Say in one line what is wrong, without the source position in the middleware."""
     message = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
-    print(f'motor_sim: error: {message}', file=sys.stderr)
+    print(f'motor_sim: error: {command_line.printable(message)}', file=sys.stderr)
     rclpy.try_shutdown()
     return status
 

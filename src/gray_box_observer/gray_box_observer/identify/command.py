@@ -28,6 +28,7 @@ from gray_box_observer.identify.result import assumptions_of, describe, warnings
 from gray_box_observer.identify.result_text import write_text
 from gray_box_observer.identify.validation import Training, validate
 from gray_box_observer.observer.observer import Result
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.finite import plain
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.standard_streams import readers_may_leave
@@ -82,7 +83,7 @@ def _tell(text: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='identify',
         description='Run the observer over recorded bags as fast as it can, and say what it '
         'identified.',

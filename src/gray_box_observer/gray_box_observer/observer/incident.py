@@ -22,6 +22,7 @@ from safetensors.numpy import save as write_arrays
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer.motor_group import Group
+from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box.interface import Array
 
@@ -133,7 +134,7 @@ def _reason_of(error: Exception) -> str:
     """Return the error in one line, with the place in the code where it arose."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f' ({Path(frames[-1].filename).name}:{frames[-1].lineno})' if frames else ''
-    text = ' '.join(str(error).split())
+    text = printable(' '.join(str(error).split()))
     return f'{type(error).__name__}{": " if text else ""}{text[:200]}{place}'
 
 

@@ -9,6 +9,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.service import Service
 
+from gray_box_observer.safe_io.printable import printable
+
 
 def survive_impossible_transitions(node: LifecycleNode) -> None:
     """Answer no to a transition that the present state does not have, as rclcpp does.
@@ -28,7 +30,9 @@ def survive_impossible_transitions(node: LifecycleNode) -> None:
             return change(request, response)
         except rclpy_implementation.RCLError as error:
             transition_name = request.transition.label or request.transition.id
-            node.get_logger().warning(f'no transition {transition_name} from here: {error}')
+            node.get_logger().warning(
+                printable(f'no transition {transition_name} from here: {error}')
+            )
             response.success = False
             return response
 

@@ -5,7 +5,6 @@ Run it by ``python -m gray_box_observer.predictor.training.pretrain``.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -27,6 +26,7 @@ from gray_box_observer.predictor.training.physics_batches import (
 )
 from gray_box_observer.predictor.training.synthetic_sequences import draw_family
 from gray_box_observer.predictor.training.training_backend import TORCH_MISSING
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.white_box.interface import Array
 
 SEQUENCES = 128
@@ -68,7 +68,7 @@ def held_out_errors(weights: Weights, seed: int) -> Array:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='python -m gray_box_observer.predictor.training.pretrain',
         description='Teach a fresh network on drawn motors of every kind and write it as the start '
         'of variant physics.',

@@ -14,6 +14,7 @@ from typing import Any
 from gray_box_observer.bag.limits import DEFAULT_CHUNK_MB
 from gray_box_observer.ros.bags import foreign_options
 from gray_box_observer.ros.listed_parameters import help_text
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.plain_number import parse_float
 from gray_box_observer.settings.parameters import ParameterSpec
 
@@ -125,7 +126,7 @@ PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
 Hz, which an observer can follow."""
 
 
-class _Parser(argparse.ArgumentParser):
+class _Parser(CommandParser):
     """Refuses the rate that ``--clock`` of ``ros2 bag`` may have, for BAG may stand there too."""
 
     def parse_known_args(  # type: ignore[override]

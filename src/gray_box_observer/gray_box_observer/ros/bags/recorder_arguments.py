@@ -12,6 +12,7 @@ from gray_box_observer.bag.mcap.mcap_file import COMPRESSIONS
 from gray_box_observer.bag.writing_options import FLUSH_PERIOD_S, PRESETS
 from gray_box_observer.ros.bags import foreign_options
 from gray_box_observer.ros.listed_parameters import help_text
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.settings.parameters import ParameterSpec
 
@@ -114,7 +115,7 @@ RECORDER_PARAMETERS: tuple[ParameterSpec, ...] = (
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='recorder',
         description=_DESCRIPTION,
         epilog=help_text(RECORDER_PARAMETERS),

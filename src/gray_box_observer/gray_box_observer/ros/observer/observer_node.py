@@ -33,6 +33,7 @@ from gray_box_observer.ros.observer.traffic import TrafficMeter
 from gray_box_observer.ros.periodic_task import PeriodicTasks
 from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
@@ -409,7 +410,7 @@ class ObserverNode(LifecycleNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the observer; the result is the exit code."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='observer',
         description='Identifies inductance, resistance and magnetic hysteresis of DC motors while '
         'they run, and '

@@ -18,6 +18,7 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.ros.observer.traffic import TrafficMeter
+from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.configuration import Configuration
 
 
@@ -124,12 +125,12 @@ class Session:
             id(incidents[name]): incidents[name] for name in incidents.keys() - self._incident_names
         }.values():
             self.outputs.retract_motors(incident.motors)
-            self._log.error(
+            text = (
                 f'{in_words(incident.motors)} stopped by a defect: {incident.reason}; the others '
-                'go on, ~/reset starts '
-                f'anew\n{incident.trace}'
+                f'go on, ~/reset starts anew\n{incident.trace}'
             )
-            self._keeper.report(incident, self._log.warning)
+            self._log.error('\n'.join(printable(line) for line in text.split('\n')))
+            self._keeper.report(incident, lambda line: self._log.warning(printable(line)))
         self._incident_names = set(incidents)
 
     def announce(self, *, is_new: bool = False) -> None:

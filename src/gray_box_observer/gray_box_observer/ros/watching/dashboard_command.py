@@ -18,6 +18,7 @@ from gray_box_observer.ros.watching.watch_command import (
     part_words,
     refuse_parameters,
 )
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.ros_parameter_file import read_parameter_file
@@ -33,7 +34,7 @@ but the way to here."""
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='dashboard',
         description=_DESCRIPTION,
         epilog='The first line of standard output says where the page is. Ctrl-C ends it.',

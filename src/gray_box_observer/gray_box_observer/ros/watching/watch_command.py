@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.watching.observer_state import SILENT_S
@@ -30,7 +31,7 @@ observer says of it now."""
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog='watch',
         description=_DESCRIPTION,
         epilog='In a pipe, plain tables without colours. Ctrl-C ends it.',
