@@ -357,6 +357,22 @@ def test_what_an_error_quotes_is_shown_and_not_obeyed(peer):
     assert r'parameter file /no\x1b[31mred: cannot be read' in line
 
 
+@pytest.mark.parametrize(
+    ('text', 'complaint'),
+    [
+        ('{seed: 1, seed: 2}', 'the key seed stands twice'),
+        ('[' * 5000 + ']' * 5000, 'more than 32 levels'),
+    ],
+)
+def test_a_file_with_a_key_twice_or_too_deep_is_one_line(peer, tmp_path, text, complaint):
+    path = tmp_path / 'bad.yaml'
+    path.write_text(f'/**:\n  ros__parameters: {text}\n')
+    code, _, err = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)
+    assert code == 2
+    assert err.startswith(f'motor_sim: error: parameter file {path}: line 2: {complaint}')
+    assert err.count('\n') == 1
+
+
 def test_help_names_the_parameters_and_starts_nothing(peer):
     code, out, err = peer.end(peer.start(MODULE, '--help'), None)
     assert code == 0

@@ -431,6 +431,23 @@ def test_a_yaml_file_that_is_no_mapping_is_one_clear_line(tmp_path, text):
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    'text',
+    [
+        'motors: {left: {voltage: $2}}\nleft.voltage: $3',
+        'left.voltage: $3\nmotors: {left: {voltage: $2}}',
+        'motors: {a.b: {voltage: $2}, a: {b.voltage: $3}}',
+        'motor: left\nvoltage: $2\nmotors: {left: {voltage: $3}}',
+    ],
+)
+def test_a_column_that_a_yaml_file_maps_twice_is_refused_by_file_and_key(tmp_path, text):
+    path = tmp_path / 'mapping.yaml'
+    path.write_text(f'time: $1\n{text}\n')
+    with pytest.raises(BagError, match=r'voltage( of motor left)? is mapped twice') as caught:
+        CsvMapping.from_yaml(path)
+    assert str(caught.value).startswith(f'{path}: ')
+
+
 def test_decimal_commas_are_read_and_told(tmp_path):
     text = 'Zeit [s];u:1;m\n0,000;-1,5;2\n0,010;2;,25\n0,020;1e1;3,5e-1\n'
     summary, voltage, torque = convert(

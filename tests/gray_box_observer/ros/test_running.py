@@ -7,6 +7,9 @@ import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import redirect_stderr
+from importlib import import_module
+from io import StringIO
 
 import pytest
 from tests.conftest import free_domain
@@ -131,3 +134,17 @@ def test_what_ros_refuses_is_one_line_too(arguments):
     returned, _, errors = finish(start('waits', 'default', '--ros-args', *arguments))
     assert returned == 2
     assert len(errors) == 1 and errors[0].startswith('example: error: ')
+
+
+@pytest.mark.parametrize('module', ['observer.observer_node', 'bags.recorder_node'])
+@pytest.mark.parametrize('section', ['/**', 'some_node', '/robot/some_node'])
+def test_a_parameter_with_and_without_a_dot_is_refused_by_file_and_name(module, section, tmp_path):
+    path = tmp_path / 'twice.yaml'
+    path.write_text(f'{section}:\n  ros__parameters: {{voltage: {{topic: a}}, voltage.topic: b}}\n')
+    main = import_module(f'gray_box_observer.ros.{module}').main
+    words = ['node', '--ros-args', '--params-file', str(path)]
+    with pytest.raises(SystemExit) as end, redirect_stderr(StringIO()) as said:
+        main(words)
+    assert end.value.code == 2
+    (line,) = said.getvalue().splitlines()
+    assert f"error: parameter file {path}: parameter 'voltage.topic' stands twice" in line

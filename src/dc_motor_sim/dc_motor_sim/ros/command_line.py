@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from dc_motor_sim.errors import ConfigurationError
+from dc_motor_sim.ros import parameter_file
 
 LARGEST_BYTES = 4 << 20
 """Of a parameter file."""
 
 
 def check(args: Sequence[str]) -> None:
-    """Refuse arguments that are not text, and parameter files that are not regular or too large.
+    """Refuse arguments that are not text, and parameter files that rcl should not read.
 
     Raises:
         ConfigurationError: One line that names the argument or the file.
@@ -30,6 +31,7 @@ def check(args: Sequence[str]) -> None:
     for option, value in pairwise(args):
         if option == '--params-file':
             check_file(value)
+            parameter_file.check(value)
 
 
 def printable(text: str) -> str:

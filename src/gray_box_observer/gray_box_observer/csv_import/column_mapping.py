@@ -133,7 +133,8 @@ class CsvMapping:
         """From a YAML file with the same keys: ``motors``, or one at the top named by ``motor``.
 
         Raises:
-            BagError: The file cannot be read, or a key is not known.
+            BagError: The file cannot be read, or a key is not known or stands twice; one line that
+                names the file.
         """
         try:
             document = read_yaml(Path(path))
@@ -149,9 +150,15 @@ class CsvMapping:
             raise BagError(
                 f"{path}: 'motors' is no group of motors; expected a name with its columns under it"
             )
-        for name, group in motors.items():
-            flat |= {f'{name}.{key}': value for key, value in group.items()}
-        return cls._from_flat(flat)
+        try:
+            for name, group in motors.items():
+                for key, value in group.items():
+                    if f'{name}.{key}' in flat:
+                        raise BagError(f'{brief(f"{name}.{key}")[1:-1]} is mapped twice')
+                    flat[f'{name}.{key}'] = value
+            return cls._from_flat(flat)
+        except BagError as error:
+            raise BagError(f'{path}: {error}') from None
 
     @classmethod
     def _from_flat(cls, flat: Mapping[str, Any]) -> CsvMapping:

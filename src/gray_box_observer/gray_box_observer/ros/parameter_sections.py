@@ -33,7 +33,7 @@ def names_of_node(args: Sequence[str], node_name: str) -> set[str]:
         name
         for option, path in pairwise(args)
         if option == FILE_OPTION
-        for section, parameters in _sections(_document(path))
+        for section, parameters in sections(_document(path))
         if section.rpartition('/')[2] == node_name
         for name in _dotted_names(parameters)
     }
@@ -47,13 +47,13 @@ def _document(path: str) -> Any:
         return None
 
 
-def _sections(tree: Any, above: str = '') -> Iterator[tuple[str, Any]]:
+def sections(tree: Any, above: str = '') -> Iterator[tuple[str, Any]]:
     """Yield the sections of a file, nested namespaces joined by slashes, with their parameters."""
     for key, value in tree.items() if isinstance(tree, Mapping) else ():
         if key == PARAMETERS:
             yield above, value
         else:
-            yield from _sections(value, f'{above}/{key}')
+            yield from sections(value, f'{above}/{key}')
 
 
 def _dotted_names(tree: Any, above: str = '') -> Iterator[str]:

@@ -31,10 +31,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.ros import discovery
+from gray_box_observer.ros.parameter_sections import FILE_OPTION, sections
 from gray_box_observer.safe_io.bounded_yaml import read_yaml
 from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.settings.ros_parameter_file import flatten
 
 EXIT_DONE = 0
 EXIT_USER_ERROR = 2
@@ -169,10 +171,16 @@ def _check_parameter_files(args: Sequence[str]) -> None:
 
     Raises:
         InputError: One of them cannot be read, or is no plain YAML.
+        ConfigurationError: A section names a parameter twice, with a dot and as a group.
     """
     for option, value in pairwise(args):
-        if option == '--params-file':
-            read_yaml(Path(value))
+        if option != FILE_OPTION:
+            continue
+        for _, parameters in sections(read_yaml(Path(value))):
+            try:
+                flatten(parameters if isinstance(parameters, dict) else {})
+            except ConfigurationError as error:
+                raise ConfigurationError(f'parameter file {value}: {error}') from None
 
 
 def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> None:
