@@ -48,6 +48,9 @@ It is also the depth of the publishers then: Fast DDS asks its readers for ackno
 only when the writer's history is full, and otherwise every three seconds.
 """
 _ACK_PATIENCE_S = 5.0
+_ACK_SLICE_S = 0.02
+"""While rclpy waits for acknowledgements no other thread of Python runs, that of signals included.
+"""
 _WAIT_TOLD_S = 1.0
 """A wait for readers that is longer is told of: discovery takes a second."""
 _SETTLE_S = 0.25
@@ -302,13 +305,15 @@ class BagPlayer(Node):
         return True
 
     def _wait_for_acknowledgements(self, topic: str) -> None:
-        if not self._publishers_by_topic[topic].wait_for_all_acked(
-            Duration(seconds=_ACK_PATIENCE_S)
-        ):
-            self.get_logger().warning(
-                f'a reader of {topic} has not acknowledged within {_ACK_PATIENCE_S:g} s; going on '
-                'without it'
-            )
+        until_s = time.monotonic() + _ACK_PATIENCE_S
+        slice_time = Duration(seconds=_ACK_SLICE_S)
+        while not self._publishers_by_topic[topic].wait_for_all_acked(slice_time):
+            if time.monotonic() > until_s:
+                self.get_logger().warning(
+                    f'a reader of {topic} has not acknowledged within {_ACK_PATIENCE_S:g} s; going '
+                    'on without it'
+                )
+                return
 
     def _tick(self, log_time_ns: int) -> None:
         if self._clock_publisher is not None:
