@@ -164,9 +164,12 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     one.trigger_configure()
     one.trigger_activate()
     told: list[bool] = []
-    monkeypatch.setitem(
-        one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data)
-    )
+
+    def tell(data: bytes) -> None:
+        told.append(deserialize_message(data, Bool).data)
+
+    tell.correct = tell
+    monkeypatch.setitem(one._outputs._alarm, 'motor', tell)
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
     one._session.deferred_results = [
         SimpleNamespace(
