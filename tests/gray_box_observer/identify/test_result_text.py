@@ -54,12 +54,23 @@ def test_the_columns_of_a_motor_stand_below_each_other() -> None:
 def test_what_is_scored_stands_in_columns_with_its_unit() -> None:
     score = {'rmse': 0.00123, 'nmae': 0.05, 'fit_percent': 98.0}
     validation = {'bag': 'b', 'samples': 9, 'white_box': score, 'persistence': score}
-    lines = text_of(validation={**validation, 'predictor': None})[-2:]
+    fit = {'verdict': 'misfit', 'ratio': 3.21, 'whiteness': 82.6, 'suspects': []}
+    lines = text_of(validation={**validation, 'predictor': None, 'fit': fit})[-3:]
     figures = 'RMSE 0.00123 N m  mean error 5 % of the spread  fit 98.00 %'
     assert lines == [
         f'    white box alone              {figures}',
         f'    static map, for persistence  {figures}',
+        '    fit test there: misfit, residual 3.21 times the noise, whiteness 82.6; '
+        'nothing known explains it',
     ]
+
+
+def test_a_validation_that_could_not_be_tested_says_so() -> None:
+    score = {'rmse': 0.00123, 'nmae': 0.05, 'fit_percent': 98.0}
+    validation = {'bag': 'b', 'samples': 9, 'white_box': score, 'persistence': score}
+    fit = {'verdict': 'untested', 'ratio': None, 'whiteness': None, 'suspects': []}
+    lines = text_of(validation={**validation, 'predictor': None, 'fit': fit})
+    assert lines[-1] == '    fit test there: untested'
 
 
 def test_every_number_of_a_delay_has_its_unit() -> None:

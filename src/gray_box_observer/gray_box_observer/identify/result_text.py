@@ -137,7 +137,20 @@ def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
         f'validated on {validation["bag"]}, {validation["samples"]} samples, nothing learnt from '
         'them:',
         *(f'  {line}' for line in aligned(rows)),
+        f'  fit test there: {_fit_words(validation["fit"])}',
     ]
+
+
+def _fit_words(fit: Mapping[str, Any]) -> str:
+    """Return what the residual analysis of the judged bag says, with its best guess."""
+    words = str(fit['verdict'])
+    if fit['ratio'] is not None:
+        whiteness = words_of(fit['whiteness'], '.3g')
+        words += f', residual {fit["ratio"]:.3g} times the noise, whiteness {whiteness}'
+    if fit['verdict'] == FitVerdict.MISFIT.value:
+        guess = fit['suspects'][0]['remedy'] if fit['suspects'] else 'nothing known explains it'
+        words += f'; {guess}'
+    return words
 
 
 def _percent(share: float | None) -> str:
