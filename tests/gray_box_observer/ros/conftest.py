@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -30,8 +29,6 @@ CHUNK = 20
 full history DDS asks its readers at once, else every three seconds."""
 SENDER_QOS = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
 ACKNOWLEDGE_TIMEOUT_S = 60.0
-END_S = 30.0
-"""A node that is asked to end has done so after this time."""
 ORPHAN_END_S = 120.0
 """What an observer had started has ended so long after it."""
 
@@ -190,14 +187,6 @@ class Rig:
                 return True
 
         self.peer.wait(gone, 'the end of the training process', timeout_s=ORPHAN_END_S)
-
-    def end(self) -> str:
-        """End the observer as one in health ends; return its log, which may hold a traceback."""
-        self.peer._running.remove(self.process)
-        self.process.send_signal(signal.SIGTERM)
-        _, said = self.process.communicate(timeout=END_S)
-        assert self.process.returncode == 0
-        return said
 
     def children(self) -> list[psutil.Process]:
         """The processes that the observer has started."""

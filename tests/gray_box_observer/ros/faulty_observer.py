@@ -1,7 +1,7 @@
 """The observer's executable with a defect.
 
 A torque beyond 900 N m breaks the observer of its motor; with ``FAULT=fit`` every test of the fit
-of the motor called right does. With ``FAULT=deactivate`` the node cannot be deactivated.
+of the motor called right does.
 """
 
 from __future__ import annotations
@@ -34,15 +34,8 @@ def faulty_test(self, nodes, estimate, motor, delay):
     healthy_test(self, nodes, estimate, motor, delay)
 
 
-def faulty_transition(self):
-    """Fail, as no transition does."""
-    raise ZeroDivisionError('a defect of the test')
-
-
 if __name__ == '__main__':
     MotorObserver.step = faulty_step
     if os.environ.get('FAULT') == 'fit':
         FitMonitor.test = faulty_test
-    if os.environ.get('FAULT') == 'deactivate':
-        observer_node.ObserverNode._deactivate = faulty_transition
     raise SystemExit(observer_node.main())

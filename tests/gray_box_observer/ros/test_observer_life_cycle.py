@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import signal
 import threading
 import time
@@ -18,7 +19,7 @@ from lifecycle_msgs.msg import State, Transition
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer.bag.joint_state import encode_joint_state
@@ -30,6 +31,7 @@ from gray_box_observer.ros.running import Stop
 pytestmark = pytest.mark.system
 
 EXCITATION = 'R[5,15]D[0.1,1]'
+INITIAL = {'inductance': 1.5, 'resistance': 3.0, 'hysteresis': 1.0}
 START_NS = 1_000_000_000
 END_S = 20.0
 """A node that is asked to end has done so after this time."""
@@ -204,10 +206,9 @@ def test_no_number_of_a_motor_that_has_stopped_stays_on_estimates_where_nobody_t
     one = node()
     one.trigger_configure()
     one.trigger_activate()
-    for k in range(300):
-        volts = 5.0 + 3.0 * (k // 7 % 3)
-        for topic, value in (('voltage', volts), ('torque', 0.01 * volts)):
-            message = encode_joint_state(START_NS + k * 10_000_000, ['motor'], effort=[value])
+    for k in range(3):
+        for topic in ('voltage', 'torque'):
+            message = encode_joint_state(START_NS + k * 10_000_000, ['motor'], effort=[0.1])
             one._inputs._subscriptions[topic].callback(message)
     one._announce()
     estimates = '/gray_box_observer/estimates'
@@ -257,6 +258,23 @@ def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_t
         one._inputs._subscriptions['torque'].callback(data)
     assert sorted(done) == sorted(2 * list(tasks))
     assert one._session.message_input.message_counts['torque'] == 6
+
+
+def test_reset_publishes_at_once_what_is_known_then(rig, record):
+    recording = record(EXCITATION, 8.0)
+    rig.start()
+    rig.signals()
+    assert rig.estimates() == INITIAL, 'from the beginning'
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    assert rig.estimates() != INITIAL
+    assert rig.call(Trigger, 'reset').success
+    assert rig.estimates() == INITIAL
+    covariance = rig.latched(Float64MultiArray, 'motor/covariance').data
+    spread = math.sqrt(covariance[0]) / INITIAL['inductance']
+    assert spread == pytest.approx(math.expm1(2.0), rel=0.02), (
+        'as far as a log-normal of prior_relative_std reaches'
+    )
 
 
 def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):

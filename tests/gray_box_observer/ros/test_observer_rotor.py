@@ -75,7 +75,7 @@ def test_the_topics_follow_the_form_that_is_chosen(rig):
     rig.start(motor__torque_constant=0.02, motor__back_emf_constant=0.02)
     rig.send(recording, range(10))
     rig.wait_for(samples_used=10)
-    assert rig.latched(Bool, 'motor/hysteresis/identified').data is False
+    assert rig.latched(Float64, 'motor/hysteresis').data > 0.0
     rig.send(recording, range(10, 2000))
     rig.wait_for(samples_used=2000)
     rig.wait_for(resistance_verdict='identified')
@@ -106,6 +106,6 @@ def test_the_topics_follow_the_form_that_is_chosen(rig):
     assert rig.call(Trigger, 'reset').success
     std = '/gray_box_observer/motor/speed_std'
     rig.peer.wait(lambda: not rig.peer.node.count_publishers(std), 'the end of its deviation')
-    assert rig.latched(Bool, 'motor/hysteresis/identified').data is False
+    assert rig.latched(Float64, 'motor/hysteresis').data == 1.0
     gone = '/gray_box_observer/motor/inertia'
     rig.peer.wait(lambda: not rig.peer.node.count_publishers(gone), 'the end of the inertia')

@@ -34,21 +34,18 @@ class Node:
     """Keeps what its publishers are given."""
 
     def __init__(self) -> None:
-        self.sent, self.ended_topics = [], []
+        self.sent = []
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
         return SimpleNamespace(
-            topic=topic,
             publish=lambda message: self.sent.append((topic, message)),
             on_activate=lambda _: None,
             is_activated=True,
-            wait_for_all_acked=lambda _: True,
         )
 
     def destroy_lifecycle_publisher(self, publisher):
         """Let one go."""
-        self.ended_topics.append(publisher.topic)
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:
@@ -214,7 +211,7 @@ def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_0_where_it_is_kno
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0]
     outputs.fit('motor', FitAssessment(FitVerdict.OK, 7.5))
     outputs.retract()
-    outputs.retract_motors(['motor', 'stranger'])
+    outputs.retract_motor('motor')
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0, 7.5, 0.0]
 
 
@@ -251,20 +248,6 @@ def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
     outputs.all_estimates(['motor', 'other'], [(('motor',), estimate)])
     table = node.sent[-1][1]
     assert list(table.data) == [0.0, -1.0, 2.0, 1.0, 0.0, -1.0, 0.0, -1.0]
-
-
-def test_a_number_goes_that_the_next_estimate_does_not_have_any_more() -> None:
-    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance'), 0.01, {}).parameters
-    outputs = Outputs(
-        node, Configuration.from_flat({'motor.context_nodes': ['inductance', 'resistance']})
-    )
-    verdicts = ((Verdict.CONVERGING, Verdict.CONVERGING),)
-    for value, variance in ((1.0, 1.0), (np.nan, np.nan)):
-        estimate = Estimate(
-            1, parameters, np.array([[value, 2.0]]), variance * np.eye(2)[None], verdicts
-        )
-        outputs.estimate('motor', estimate)
-    assert node.ended_topics == ['~/motor/inductance', '~/motor/covariance']
 
 
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:

@@ -91,7 +91,6 @@ class MotorObserver:
         self._nobody = np.zeros(self.motors, dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
         self._use(form)
-        self._initial_theta = self._belief.theta
 
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
@@ -404,18 +403,6 @@ class MotorObserver:
     def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
         """The same of every parameter of one motor."""
         return tuple(self._belief.known_flags[motor].tolist())
-
-    @property
-    def knowledge_flags(self) -> NDArray[np.bool_]:
-        """Of which motors anything is known, shape (motor,).
-
-        Data have moved their values, or a value was given so surely that it counts as known.
-        """
-        belief = self._belief
-        if belief.theta.shape != self._initial_theta.shape:  # the data have chosen another form
-            return np.ones(self.motors, dtype=bool)
-        is_moved: NDArray[np.bool_] = (belief.theta != self._initial_theta).any(axis=1)
-        return is_moved | belief.known_flags.any(axis=1)
 
     @property
     def speed(self) -> SpeedEstimate | None:

@@ -308,30 +308,6 @@ class Observer:
                 estimates.append((group.names, estimate))
         return estimates
 
-    def known_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
-        """Return the same of those motors alone of which anything is known."""
-        estimates = []
-        for group in self.every_group:
-            observer = group.observer
-            if observer is None:
-                continue
-            knowledge = self.contain(group, partial(_known_of, group, observer))
-            if knowledge is not None and knowledge[0]:
-                estimates.append(knowledge)
-        return estimates
-
-    def knows(self, motor: str) -> bool:
-        """Tell whether anything is known of a motor; nothing is of one that has stopped.
-
-        Something is where a sample has moved its values since they were initial, here or before a
-        checkpoint. So it is where one was given so surely that it counts as known.
-        """
-        group, place = self._grouping.place(motor)
-        observer = group.observer
-        if observer is not None:
-            return bool(self.contain(group, lambda: observer.knowledge_flags[place]))
-        return not group.is_stopped and any(self.parameters_identified(motor))
-
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor seen, by its name; part of the Python API.
 
@@ -623,14 +599,6 @@ def _finish(observer: MotorObserver) -> bool:
     if has_changed:
         observer.estimate()
     return has_changed
-
-
-def _known_of(group: Group, observer: MotorObserver) -> tuple[tuple[str, ...], Estimate]:
-    """Return names and estimates of the motors of a group of which anything is known."""
-    places = np.flatnonzero(observer.knowledge_flags)
-    if places.size == len(group.names):
-        return group.names, observer.estimate()
-    return tuple(group.names[place] for place in places.tolist()), observer.estimate(places)
 
 
 def _saved_kind(plain: dict[str, Any]) -> FormKind:

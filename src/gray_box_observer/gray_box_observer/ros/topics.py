@@ -70,7 +70,7 @@ FIT = Topic(
     LATCHED_QOS,
     'Residual of the free run over the noise floor, once tested and when it changes: about 1 '
     'where the white box '
-    'holds. Who listens hears 0 when what was tested is forgotten; who comes later hears nothing.',
+    'holds; 0 where what was tested is forgotten.',
 )
 ALARM = Topic(
     '~/{motor}/alarm',

@@ -6,10 +6,8 @@ left standing: its publisher goes, and comes back with the next number.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 
 from gray_box_observer.ros import topics
@@ -56,17 +54,9 @@ class LatchedTopic:
         finally:
             self._publisher.on_deactivate(None)
 
-    def retract(self, until_s: float | None = None) -> None:
-        """Leave nothing for late subscribers.
-
-        Args:
-            until_s: by the monotonic clock: so long may who listens take to hear what was published
-                last. None: nobody is waited for.
-        """
+    def retract(self) -> None:
+        """Leave nothing for late subscribers."""
         if self._holds_value:
-            if until_s is not None:
-                left_s = max(0.0, until_s - time.monotonic())
-                self._publisher.wait_for_all_acked(Duration(nanoseconds=int(left_s * 1e9)))
             self._node.destroy_lifecycle_publisher(self._publisher)
             self._publisher, self._holds_value = None, False
 

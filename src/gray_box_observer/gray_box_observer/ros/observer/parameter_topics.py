@@ -26,18 +26,9 @@ class ParameterTopics:
     def __init__(self, node: LifecycleNode, motor: str, names: Iterable[str]) -> None:
         self._node = node
         self._motor = motor
-        self._first_names = tuple(names)
         self.values: dict[str, LatchedTopic] = {}
         self.flags: dict[str, LatchedTopic] = {}
-        self._open(self._first_names)
-
-    def begin_anew(self, *, is_active: bool) -> None:
-        """Have the topics of the form that the motor is configured with.
-
-        Args:
-            is_active: whether the node publishes now.
-        """
-        self.follow(self._first_names, is_active=is_active)
+        self._open(names)
 
     def follow(self, names: tuple[str, ...], *, is_active: bool) -> bool:
         """Have topics of just these parameters; tell whether that has changed anything.

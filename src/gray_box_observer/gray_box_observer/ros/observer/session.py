@@ -124,7 +124,8 @@ class Session:
         for incident in {
             id(incidents[name]): incidents[name] for name in incidents.keys() - self._incident_names
         }.values():
-            self.outputs.retract_motors(incident.motors)
+            for motor in incident.motors:
+                self.outputs.retract_motor(motor)
             text = (
                 f'{in_words(incident.motors)} stopped by a defect: {incident.reason}; the others '
                 f'go on, ~/reset starts anew\n{incident.trace}'
@@ -147,19 +148,16 @@ class Session:
             return
         self.tell_estimates()
         self.outputs.forget_published()
-        motors = self.configuration.motors if self.configuration['motor_topics'] else ()
-        known_motors = [motor for motor in motors if self.observer.knows(motor)]
-        self.outputs.retract_motors(set(motors).difference(known_motors))
-        for motor in known_motors:
+        for motor in self.configuration.motors if self.configuration['motor_topics'] else ():
             action = partial(_announce_motor, self.observer, self.outputs, motor)
             self.observer.contain(self.observer.group_of(motor), action)
         self.report_incidents()
 
     def tell_estimates(self) -> None:
-        """Publish what is known of every motor, in one message; nothing where that is nothing."""
+        """Publish what is known of every motor, in one message."""
         if self.outputs is not None and self._is_active():
             self.outputs.all_estimates(
-                list(self.configuration.motors), self.observer.known_estimates()
+                list(self.configuration.motors), self.observer.group_estimates()
             )
 
     def _correct_estimates(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -36,11 +35,7 @@ from gray_box_observer.white_box.interface import Array, Parameter
 Publish = Callable[[Any], None]
 
 UNTESTED = 0.0
-"""Ratio on ``~/<motor>/fit`` for who listens when what was tested is forgotten: no real one is so
-small. Who comes later hears none."""
-
-HEARING_S = 0.1
-"""How long the last word of topics that go may take to be heard, all of them together."""
+"""Ratio on ``~/<motor>/fit`` where what was tested is forgotten: no real one is so small."""
 
 NOTHING = (0.0, -1.0)
 """Value and standard deviation on ``~/estimates`` where nothing is known: no real one is negative.
@@ -233,16 +228,12 @@ class Outputs:
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             if math.isfinite(value):
                 values[parameter.name](self._value.render(value))
-            else:  # what was published before holds no more
-                values[parameter.name].retract()
         template = self._covariances.get(motor)
         if template is None:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
         covariance = estimate.covariance[0]
         if all_finite(covariance):
             self._covariance[motor](template.render(covariance))
-        else:
-            self._covariance[motor].retract()
         self._identified_topics[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
@@ -260,11 +251,11 @@ class Outputs:
         self._followed_parameters[motor] = estimate.parameters
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
-        """Publish a residual ratio that has changed; where there is none any more, it goes."""
+        """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
         if motor not in self._fit:
             return
         if math.isnan(fit.ratio):
-            self._forget_fits([motor])
+            self._forget_fit(motor)
         elif math.isinf(fit.ratio):  # tested, and no number: the topic goes
             self._published_fit.pop(motor, None)
             self._fit[motor].retract()
@@ -272,15 +263,11 @@ class Outputs:
             self._published_fit[motor] = fit.ratio
             self._fit[motor](self._value.render(np.array([fit.ratio])))
 
-    def _forget_fits(self, motors: Iterable[str]) -> None:
-        """Take back ratios, in any state of the life cycle, so that who listens hears of it."""
-        own = [motor for motor in motors if self._fit[motor].holds_value]
-        for motor in own:
-            self._published_fit.pop(motor, None)
+    def _forget_fit(self, motor: str) -> None:
+        """Take back the ratio, in any state of the life cycle, so that listeners hear of it."""
+        if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
+            self._published_fit[motor] = UNTESTED
             self._fit[motor].correct(self._value.render(np.array([UNTESTED])))
-        until_s = time.monotonic() + HEARING_S
-        for motor in own:
-            self._fit[motor].retract(until_s)
 
     def parameters_identified(
         self, motor: str, parameters: tuple[Parameter, ...], flags: tuple[bool, ...]
@@ -311,29 +298,25 @@ class Outputs:
     def retract(self) -> None:
         """Latch what is true of a node that knows nothing, in any state of its life cycle."""
         self.retract_estimates()
-        self.retract_motors(self._identified_topics)
+        for motor in self._identified_topics:
+            self.retract_motor(motor)
 
     def retract_estimates(self) -> None:
         """Leave no number of any motor on ``~/estimates``."""
         self._estimates.retract()
 
-    def retract_motors(self, motors: Iterable[str]) -> None:
-        """The same of some motors: not identified, no alarm, nothing tested, no number."""
-        own = [motor for motor in motors if motor in self._identified_topics]
-        for motor in own:
-            self._retract_motor(motor)
-        self._forget_fits(own)
-
-    def _retract_motor(self, motor: str) -> None:
+    def retract_motor(self, motor: str) -> None:
+        """The same of one motor: not identified, no alarm, nothing tested, no number."""
+        if motor not in self._identified_topics:
+            return
         self._alarm_flags.clear()
         self._alarm_states[motor] = False
         self._identified_topics[motor].correct(self._is[False])
         self._alarm[motor].correct(self._is[False])
-        self._parameters[motor].begin_anew(is_active=self._identified_topics[motor].is_active)
         for topic in self._parameters[motor].flags.values():
             topic.correct(self._is[False])
-        for memory in (self._published_identified, self._followed_parameters, self._covariances):
-            memory.pop(motor, None)
+        self._published_identified.pop(motor, None)
+        self._forget_fit(motor)
         for topic in (*self._parameters[motor].values.values(), self._covariance[motor]):
             topic.retract()
         if motor in self._speed_std:
