@@ -361,7 +361,7 @@ class MeasuredSpeedUpdate:
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
-        if fit is None or not (fit.explains or self._stays_late(fit)):
+        if fit is None or not (fit.explains or self._is_nearly_late(fit)):
             self._failures += 1
             self._explained_count = -1
             self._is_noisy &= self._failures < MOST_FAILURES
@@ -423,13 +423,13 @@ class MeasuredSpeedUpdate:
         variance += (outputs.std[0] / outputs.value[0])[self._nodes] ** 2
         return bool(np.max(apart**2 / variance) > APART)
 
-    def _stays_late(self, fit: OutputFit) -> bool:
-        """Tell whether a speed that was late still is, by a fit that leaves hardly more than noise.
+    def _is_nearly_late(self, fit: OutputFit) -> bool:
+        """Tell whether the speed is late by a fit that leaves hardly more than noise.
 
-        A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual of
-        many samples. The recursive rule would then take the lag for resistance, and see no fault.
+        A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual. The
+        recursive rule would take the lag for resistance, and see no fault.
         """
-        return self._is_noisy and fit.is_within(POOR) and self._is_late(fit)
+        return fit.is_within(POOR) and self._is_late(fit)
 
     def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
         """Tell whether the current is clearly likelier with the speed of the whole motor.
