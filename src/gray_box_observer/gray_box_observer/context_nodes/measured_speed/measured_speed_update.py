@@ -28,7 +28,7 @@ from gray_box_observer.context_nodes.measured_speed.mechanics import (
     limited,
     load_spread,
 )
-from gray_box_observer.context_nodes.measured_speed.output_fit import POOR, OutputFit
+from gray_box_observer.context_nodes.measured_speed.output_fit import HOPELESS, OutputFit
 from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
 from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
     remembering,
@@ -424,12 +424,12 @@ class MeasuredSpeedUpdate:
         return bool(np.max(apart**2 / variance) > APART)
 
     def _is_nearly_late(self, fit: OutputFit) -> bool:
-        """Tell whether the speed is late by a fit that leaves hardly more than noise.
+        """Tell whether the speed is late by a fit that is not hopeless.
 
         A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual. The
         recursive rule would take the lag for resistance, and see no fault.
         """
-        return fit.is_within(POOR) and self._is_late(fit)
+        return fit.is_within(HOPELESS) and self._is_late(fit)
 
     def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
         """Tell whether the current is clearly likelier with the speed of the whole motor.
