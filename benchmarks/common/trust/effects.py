@@ -243,6 +243,19 @@ def late_speed(samples: int) -> Reading:
     return reading
 
 
+def filtered_speed(samples: float) -> Reading:
+    """Log the speed behind a filter of first order with a time constant of some intervals."""
+
+    def reading(log: Readings, rng: np.random.Generator) -> Readings:
+        speed, share = log.speed_rad_s, math.exp(-1.0 / samples)
+        passed = speed.copy()
+        for k, mean in enumerate(0.5 * (speed[1:] + speed[:-1])):
+            passed[k + 1] = mean + share * (passed[k] - mean)
+        return replace(log, speed_rad_s=passed)
+
+    return reading
+
+
 def speed_gain(factor: float) -> Reading:
     """Multiply the speed; -1 flips its sign."""
     return lambda log, rng: replace(log, speed_rad_s=log.speed_rad_s * factor)

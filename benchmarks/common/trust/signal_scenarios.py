@@ -141,6 +141,11 @@ def _speeds() -> Iterator[Scenario]:
     yield case(
         group, '2 samples, Kb too', gear | late | with_constant, log=(effects.late_speed(2),)
     )
+    group = 'speed filtered'
+    for samples in (0.5, 1.0, 1.5, 3.0):
+        yield case(
+            group, f'{samples:g} samples', gear | late, log=(effects.filtered_speed(samples),)
+        )
 
 
 def _nothing_to_learn() -> Iterator[Scenario]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from rotor_motors import BOX, KB, KT, NODES, THETA, content_of, recorded, samples_of
 
-from dc_motor_sim.simulation import Recording
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
     RecursiveEstimator,
@@ -58,6 +59,15 @@ def counted(speed: np.ndarray) -> np.ndarray:
     angle = np.concatenate([[0.3], 0.3 + np.cumsum(0.5 * (speed[1:] + speed[:-1])) * 1e-3])
     count = np.floor(angle / unit)
     return np.diff(count, prepend=count[0]) * unit * 1e3
+
+
+def filtered(speed: np.ndarray) -> np.ndarray:
+    """Behind a filter of first order, whose time constant is a sample interval."""
+    result = speed.copy()
+    mean = 0.5 * (speed[1:] + speed[:-1])
+    for k, interval_mean in enumerate(mean):
+        result[k + 1] = interval_mean + (result[k] - interval_mean) * np.exp(-1.0)
+    return result
 
 
 SENSORS = {'noisy': noisy, 'late': late, 'counted': counted, 'exact': lambda speed: speed}
@@ -113,6 +123,44 @@ def test_l_and_r_are_right_whatever_is_wrong_with_the_speed(sensor: str) -> None
     assert (np.abs(estimate.value[0] - TRUTH) < 3.5 * estimate.std[0]).all()
     assert (np.abs(estimate.value[0] / TRUTH - 1.0) < 0.01).all()
     assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+@pytest.mark.slow
+def test_a_filter_of_the_speed_is_not_taken_for_resistance() -> None:
+    plant = PlantParameters(
+        inductance=8e-3,
+        resistance=2.0,
+        hysteresis=0.0,
+        torque_constant=0.05,
+        back_emf_constant=0.05,
+        inertia=2e-5,
+        viscous_friction=1e-5,
+        coulomb_friction=2e-3,
+    )
+    recording = Simulation(
+        {'motor': plant},
+        'R[-12,12]D[0.05,0.05]',
+        seed=2,
+        speed_mode='rotor',
+        sample_rate_hz=1000.0,
+        torque_noise_std=1e-3,
+    ).record(5.0)
+    speed = filtered(recording.speed_rad_s[0])
+    update = MeasuredSpeedUpdate(
+        MotorWhiteBox(('inductance', 'resistance'), 0.05, {'back_emf_constant': 0.05}, True),
+        START,
+        0,
+        RecursiveSettings(),
+        VerdictSettings(),
+        np.zeros((1, 2)),
+    )
+    for k, sample in enumerate(samples_of(recording)):
+        update.learn(sample._replace(speed_rad_s=speed[k : k + 1]))
+    assert update.is_noisy
+    assert (np.abs(update.estimate().value[0] / [8e-3, 2.0] - 1.0) < [0.02, 0.01]).all()
+    assert update.counters()['lag of the speed, us'] == pytest.approx(1000, abs=150)
+    exact = update._exact.estimate()
+    assert abs(exact.value[0, 1] / 2.0 - 1.0) > 0.03, 'what the measured speed says alone'
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from gray_box_observer.context_nodes.measured_speed.mechanics import (
     limited,
     load_spread,
 )
-from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
+from gray_box_observer.context_nodes.measured_speed.output_fit import HOPELESS, OutputFit
 from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
 from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
     remembering,
@@ -361,7 +361,7 @@ class MeasuredSpeedUpdate:
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
-        if fit is None or not fit.explains:
+        if fit is None or not (fit.explains or self._is_nearly_late(fit)):
             self._failures += 1
             self._explained_count = -1
             self._is_noisy &= self._failures < MOST_FAILURES
@@ -371,7 +371,11 @@ class MeasuredSpeedUpdate:
             self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
-        self._take_mechanics(fit, samples.shape[1])
+        if fit.explains:
+            self._take_mechanics(fit, samples.shape[1])
+        else:
+            self._explained_count = -1
+            samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
         if not (self._is_noisy or is_noisy or self._is_late(fit)):
             return False
@@ -418,6 +422,14 @@ class MeasuredSpeedUpdate:
         variance = (exact.std[0] / exact.value[0]) ** 2
         variance += (outputs.std[0] / outputs.value[0])[self._nodes] ** 2
         return bool(np.max(apart**2 / variance) > APART)
+
+    def _is_nearly_late(self, fit: OutputFit) -> bool:
+        """Tell whether the speed is late by a fit that is not hopeless.
+
+        A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual. The
+        recursive rule would take the lag for resistance, and see no fault.
+        """
+        return fit.is_within(HOPELESS) and self._is_late(fit)
 
     def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
         """Tell whether the current is clearly likelier with the speed of the whole motor.
