@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from linear_motor_records import (
     INTERVAL_S,
     RESISTANCE_OHM,
@@ -78,7 +79,7 @@ def test_the_remedy_for_an_offset_takes_it_off() -> None:
     spoilt = Record(record.voltage_v, record.current_a + 0.3)
     suspect = spoilt.observed(effects='none').motors['motor'].fit.suspects[0]
     assert suspect.effect == 'current_offset'
-    offset_nm = float(suspect.remedy.split(':')[1].split('(')[0])
+    offset_nm = yaml.safe_load(suspect.remedy)['torque.offset']
     assert offset_nm == pytest.approx(-0.3 * TORQUE_CONSTANT, rel=0.1)
 
 

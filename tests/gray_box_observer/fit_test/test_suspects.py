@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+import yaml
 from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
 
 from gray_box_observer.fit_test.assessment import Suspect
@@ -80,3 +81,16 @@ def test_of_a_lag_and_a_delay_that_a_search_has_found_the_likelier_is_first(
     found = with_delay(suspects, delay)
     assert [one.effect for one in found] == after
     assert found[after.index('delay')] is delay
+
+
+@pytest.mark.parametrize('name', sorted(EFFECTS))
+def test_a_remedy_by_parameters_is_a_line_of_a_parameter_file(name: str) -> None:
+    remedy = Explanation(EFFECTS[name], 100.0, 0.25, 0.25, 2.0).suspect('left', 0.02).remedy
+    parameter, colon, _ = remedy.partition(': ')
+    if not colon or ' ' in parameter:
+        assert name in ('dead_zone', 'sag', 'current_lag', 'change', 'speed_delay')
+        return
+    ((key, value),) = yaml.safe_load(remedy).items()
+    assert key == parameter
+    assert isinstance(value, (float, list)) or value in ('rotor', 'estimate')
+    assert '  # ' in remedy, 'the reason'

@@ -46,7 +46,8 @@ class Suspect:
         effect: its name, a key of :data:`~gray_box_observer.fit_test.effects.REMEDIES`, or a doubt
             about the data.
         evidence: log-likelihood that it brings, discounted by the residual's own correlation.
-        remedy: what to do about it, as a line that can be pasted.
+        remedy: what to do about it; where parameters help, a line of a parameter file that can be
+            pasted, with the reason as its comment.
     """
 
     effect: str

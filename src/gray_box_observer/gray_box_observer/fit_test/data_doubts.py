@@ -347,11 +347,11 @@ def _doubts_of_back_emf(
     if unit is not None:
         factor = UNITS_OF_SPEED[unit]
         text = (
-            f'speed.scale: {factor:.4g} (or speed=NAME[{unit}] among --columns): by the Kb given, '
+            f'speed.scale: {factor:.4g}  # or speed=NAME[{unit}] among --columns: by the Kb given, '
             f'the speed is in {unit}'
         )
         yield Suspect('units_of_speed', balance.evidence, text)
-    text = f'{motor.name}.back_emf_constant: {magnitude:.4g} (it is {kb:g} V s/rad now)'
+    text = f'{motor.name}.back_emf_constant: {magnitude:.4g}  # it is {kb:g} V s/rad now'
     yield Suspect(BACK_EMF, balance.evidence, text)
 
 
@@ -363,11 +363,13 @@ def _doubt_of_sign(balance: BackEmfFit, is_contradicted: bool) -> Suspect | None
     if balance.has_negative_resistance:
         signal, column = ('voltage', 'voltage') if is_negative else ('torque', 'current')
         cause = 'R and back-EMF have' if is_negative else 'R has'
-        text = f'{signal}.scale: -1.0 (or {column}=-1*NAME among --columns): {cause} the wrong sign'
+        text = (
+            f'{signal}.scale: -1.0  # or {column}=-1*NAME among --columns: {cause} the wrong sign'
+        )
         return Suspect(f'{signal}_sign', evidence, text)
     if not is_negative:
         return None
-    text = 'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
+    text = 'speed.scale: -1.0  # or speed=-1*NAME among --columns: the back-EMF has the wrong sign'
     return Suspect('speed_sign', balance.evidence, text)
 
 

@@ -80,7 +80,8 @@ class Effect:
     Attributes:
         name: what it is called everywhere.
         alternatives: yields the shapes that it may have.
-        remedy: what to do about it; ``{motor}`` stands for the motor's name.
+        remedy: what to do about it; ``{motor}`` stands for the motor's name. Where parameters
+            help, it is a line of a parameter file, with the reason as its comment.
         needs_speed: whether it is about a measured speed.
         without_speed: whether it can only be where speed is not measured.
         credible: lowest and highest amount of all its shapes together that such an effect can have.
@@ -183,22 +184,21 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'rotor',
             _rotor,
-            "{motor}.speed_source: rotor, or publish the speed in motor/torque's velocity: a rotor "
-            'turns whose speed is not measured',
+            '{motor}.speed_source: rotor  # a rotor turns whose speed is not measured; or publish '
+            "it in motor/torque's velocity",
             without_speed=True,
             hides_resistance=True,
         ),
         Effect(
             'current_offset',
             _current_offset,
-            'torque.offset: {offset_nm:.3g} (the current, or the voltage, has an offset)',
+            'torque.offset: {offset_nm:.3g}  # the current, or the voltage, has an offset',
         ),
         Effect(
             'lost_voltage',
             _lost_voltage,
-            '{motor}.brush_drop: {amount:.3g} (brushes or driver take that many volts; while the '
-            'current keeps its '
-            'sign an offset of the current looks the same)',
+            '{motor}.brush_drop: {amount:.3g}  # brushes or driver take that many volts; while the '
+            'current keeps its sign an offset of the current looks the same',
         ),
         Effect(
             'dead_zone',
@@ -214,7 +214,7 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'delay',
             _delay,
-            '{motor}.delay: estimate: voltage acts later than it is stamped',
+            '{motor}.delay: estimate  # voltage acts later than it is stamped',
             credible=LATER,
         ),
         Effect(
@@ -228,7 +228,7 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'back_emf_constant',
             _back_emf,
-            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]: Kb differs by '
+            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]  # Kb differs by '
             '{amount:.3g} V s/rad',
             needs_speed=True,
         ),
