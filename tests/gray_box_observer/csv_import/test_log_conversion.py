@@ -455,7 +455,20 @@ def test_decimal_commas_are_read_and_told(tmp_path):
     )
     assert voltage == [(0, 'motor', -1.5), (10, 'motor', 2.0), (20, 'motor', 10.0)]
     assert [e for _, _, e in torque] == [2.0, 0.25, 0.35]
-    assert summary.warnings[-1].endswith('line 2: a comma within a number is its decimal comma')
+    assert summary.warnings[-1].endswith(
+        'line 2, column 1 (Zeit [s]): a comma within a number is its decimal comma'
+    )
+
+
+@pytest.mark.parametrize(
+    ('header', 'where'), [('t;u;m;x\n', 'line 4, column 3 (m)'), ('', 'line 3, column 3')]
+)
+def test_a_decimal_comma_is_told_by_line_and_column(tmp_path, header, where):
+    text = f'{header}0;1;2;0,5\n1;2;3;1\n2;3;4,5;1\n'
+    summary, _, _ = convert(tmp_path, text, 'time=$1', 'voltage=$2', 'torque=$3')
+    warnings = [line for line in summary.warnings if 'decimal comma' in line]
+    assert len(warnings) == 1
+    assert f'log.csv, {where}: a comma within a number' in warnings[0]
 
 
 @pytest.mark.parametrize('text', ['0,00;1,5;2\n0,01;2,5;3\n', '0,00\t1,5\t2\n0,01\t2,5\t3\n'])

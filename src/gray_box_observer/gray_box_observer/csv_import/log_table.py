@@ -114,7 +114,7 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
     columns: dict[int, list[float]] = {number: [] for number in numbers}
     lines: list[int] = []
     ended_lines: list[int] = []
-    comma_lines: list[int] = []
+    first_comma: tuple[int, int] | None = None
     for line_number, line in rows:
         cells = (
             line.split(delimiter) if '"' not in line else _cells(path, line_number, line, delimiter)
@@ -135,12 +135,16 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
                         _complaint(path, shape, line_number, cells, number, numbers)
                     ) from None
                 values.append(parse_float(with_point))
-                comma_lines.append(line_number)
+                first_comma = first_comma or (line_number, number)
         lines.append(line_number)
     warnings = shape.warnings
-    if comma_lines:
-        _refuse_points(path, shape, numbers, comma_lines[0])
-        where = f'{path}, line {comma_lines[0]}: a comma within a number is its decimal comma'
+    if first_comma is not None:
+        line_number, number = first_comma
+        _refuse_points(path, shape, numbers, line_number)
+        where = (
+            f'{path}, line {line_number}, {_column_words(shape, number)}: a comma within a number '
+            'is its decimal comma'
+        )
         warnings = (*warnings, where)
     if ended_lines:
         where = (
@@ -241,9 +245,14 @@ def _complaint(
     ):
         row = brief([cells[k - 1].strip() for k in column_numbers])
         return f"{path}, line {line_number}: {row} are no numbers; put '#' before a row of units"
-    name = f' ({shape.names[number - 1]})' if shape.names else ''
     hint = '; write a decimal point' if _DECIMAL_COMMA.search(cell) else ''
-    return f'{path}, line {line_number}, column {number}{name}: {brief(cell)} is no number{hint}'
+    column = _column_words(shape, number)
+    return f'{path}, line {line_number}, {column}: {brief(cell)} is no number{hint}'
+
+
+def _column_words(shape: TableShape, number: int) -> str:
+    """Return the number of a column, with its name where it has one."""
+    return f'column {number} ({shape.names[number - 1]})' if shape.names else f'column {number}'
 
 
 def _cells(path: Path, line_number: int, line: str, delimiter: str | None) -> list[str]:
