@@ -37,6 +37,7 @@ def convert(tmp_path, text, *options):
     )
 
 
+SIGNALS = ('time=t', 'voltage=u', 'torque=m')
 LOG = 't_s,u_V,i_A,w\n0.000,1,0.5,3\n0.010,2,0.6,4\n0.020,3,0.7,5\n'
 
 
@@ -469,6 +470,36 @@ def test_a_decimal_comma_is_told_by_line_and_column(tmp_path, header, where):
     warnings = [line for line in summary.warnings if 'decimal comma' in line]
     assert len(warnings) == 1
     assert f'log.csv, {where}: a comma within a number' in warnings[0]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(
+    ('first', 'second'),
+    [('-1e308', '1e308'), ('0', '1e308'), ('0', '1e300'), ('1.7e18', '1.7000001e18')],
+)
+def test_times_that_no_message_can_tell_are_refused_by_line(tmp_path, first, second):
+    with pytest.raises(BagError) as caught:
+        convert(tmp_path, f't,u,m\n{first},1,2\n{second},2,3\n', *SIGNALS, 'speed=diff(u)')
+    assert re.search(
+        r'log.csv, line 3, time \(t\) is .* s in the first row; a stamp of so much later '
+        'does not fit into a message$',
+        str(caught.value),
+    )
+
+
+def test_times_in_ns_that_no_message_can_tell_are_refused_with_their_unit(tmp_path):
+    rows = ''.join(f'{k}e6,{k},2\n' for k in range(2200))
+    with pytest.raises(BagError, match=r'if the time is in ns, write time=t\[ns\]$'):
+        convert(tmp_path, f't,u,m\n{rows}', *SIGNALS)
+
+
+@pytest.mark.filterwarnings('error')
+def test_giant_times_of_rows_that_are_left_out_pass_in_silence(tmp_path):
+    text = 't,u,m\n-1e308,1,2\n1e308,2,3\n-1e308,3,4\n'
+    with pytest.raises(BagError, match='line 3, time'):
+        convert(tmp_path, text, *SIGNALS, 'speed=diff(u)')
+    summary, _, _ = convert(tmp_path, text.replace('-1e308,1,2\n', ''), *SIGNALS, 'speed=diff(u)')
+    assert (summary.rows, summary.unordered_rows) == (2, 1)
 
 
 @pytest.mark.parametrize('text', ['0,00;1,5;2\n0,01;2,5;3\n', '0,00\t1,5\t2\n0,01\t2,5\t3\n'])

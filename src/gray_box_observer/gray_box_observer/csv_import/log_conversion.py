@@ -23,6 +23,7 @@ from gray_box_observer.csv_import.log_doubts import (
     order_doubt,
     rounding_doubt,
     step_doubt,
+    time_remedy,
     unit_doubts,
 )
 from gray_box_observer.csv_import.log_table import TableShape, look_at, read_columns
@@ -150,16 +151,17 @@ def csv_to_bag(
     kept_rows = np.flatnonzero(in_time)
     if not kept_rows.size or not passes[kept_rows].any():
         raise BagError(f'{path}: none of {row_count} rows can be used ({filtered_count} filtered)')
+    stamps_ns = _stamps(path, mapping, time_s[kept_rows], columns.lines[kept_rows])
     motors = [expressions.signals(name, table, time_s) for name in mapping.motors]
     if expressions.has_rates:  # the first row has no rate of change
         passes[0] = False
-    passed_ns = np.rint((time_s[kept_rows] - time_s[kept_rows[0]]) * 1e9)
-    stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
     interval_s = float(np.median(np.diff(time_s[kept_rows]))) if kept_rows.size > 1 else math.nan
     doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
     if expressions.time is not None:
-        doubts += rounding_doubt(np.diff(time_s))
+        with np.errstate(all='ignore'):  # times of rows that are left out may be anything
+            intervals_s = np.diff(time_s)
+        doubts += rounding_doubt(intervals_s)
     for motor in motors:
         for signal, values in motor.signals():
             rows_told = kept_rows[1:] if expressions.has_rates else kept_rows
@@ -230,8 +232,9 @@ class _Expressions:
             raise BagError(f'motor {name} has no voltage or no torque')
         with np.errstate(all='ignore'):  # what is not finite is warned of where it stands
             torque_nm = torque(table, time_s) * (1.0 if scale is None else scale)
-        speed_rad_s = None if speed is None else speed(table, time_s)
-        return _Motor(name, voltage(table, time_s), torque_nm, speed_rad_s)
+            speed_rad_s = None if speed is None else speed(table, time_s)
+            voltage_v = voltage(table, time_s)
+        return _Motor(name, voltage_v, torque_nm, speed_rad_s)
 
     def _make(self, kind: str, text: str) -> Expression | None:
         """Compile the expression of a kind of quantity; of none, the condition of a row."""
@@ -246,6 +249,36 @@ class _Expressions:
             raise BagError(f'{kind}={text} has the unit of a {expression.kind}')
         self._all.append(expression)
         return expression
+
+
+def _stamps(
+    path: Path, mapping: CsvMapping, time_s: NDArray[np.float64], lines: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the stamps of rows in ns.
+
+    Args:
+        path: of the log, for the message.
+        mapping: what the columns mean.
+        time_s: of the rows, rising and finite.  shape: (row,)
+        lines: where they stand in the log.  shape: (row,)
+
+    Raises:
+        BagError: a row lies so long after the first that no message can tell it.
+    """
+    with np.errstate(over='ignore'):  # infinitely late is too late
+        passed_ns = np.rint((time_s - time_s[0]) * 1e9)
+        interval_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else math.nan
+    late_rows = np.flatnonzero(passed_ns >= _BEYOND_NS - mapping.first_stamp_ns)
+    if late_rows.size:
+        first = int(late_rows[0])
+        remedy = time_remedy(interval_s, mapping.time)
+        raise BagError(
+            f'{path}, line {lines[first]}, time ({mapping.time or "sample_period_s"}) is '
+            f'{time_s[first]:.9g} s, and {time_s[0]:.9g} s in the first row; a stamp of so much '
+            'later does not fit into a message' + (remedy and f'; {remedy}')
+        )
+    stamps_ns: NDArray[np.int64] = mapping.first_stamp_ns + passed_ns.astype(np.int64)
+    return stamps_ns
 
 
 def _increasing(time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
