@@ -494,3 +494,12 @@ def test_a_file_of_very_many_strange_names_is_answered_at_once() -> None:
 
     Watched.from_flat(strange).require_no_slips()
     assert len(compared) == MOST_COMPARED
+
+
+def test_a_change_of_what_is_not_the_observers_leaves_the_same_object() -> None:
+    before = Configuration.from_flat({'motors': ['m[1..50]'], 'm7.torque_constant': 0.02})
+    assert before.with_values({}) is before
+    foreign = {'qos_overrides./x.publisher.depth': 5, 'm51.delay': 1.0, 'm7.nothing': 1.0}
+    assert before.with_values(foreign) is before
+    after = before.with_values({'m7.delay': 0.1, **foreign})
+    assert after.motors['m7'].delay_s == 0.1

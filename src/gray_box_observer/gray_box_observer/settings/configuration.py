@@ -213,10 +213,12 @@ class Configuration:
         Raises:
             ConfigurationError: as in :meth:`from_flat`.
         """
+        changes = {name: value for name, value in new_values.items() if self._has(name)}
+        if not changes:  # rclpy declares four parameters of every publisher, and asks each time
+            return self
         flat = dict(self.values)
         for name, motor in self.motors.items():
             flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
-        changes = {name: value for name, value in new_values.items() if name in flat}
         configuration = self.from_flat(flat | changes)
         motors = {
             name: replace(
@@ -225,6 +227,13 @@ class Configuration:
             for name, motor in configuration.motors.items()
         }
         return replace(configuration, motors=motors, unknown=self.unknown)
+
+    def _has(self, name: str) -> bool:
+        """Whether a dotted name is one of the observer's, of its inputs or of its motors."""
+        motor, _, own_name = name.partition('.')
+        return name in self.values or (
+            motor in self.motors and own_name in self.motors[motor].values
+        )
 
     def alike(self, name: str) -> list[str]:
         """Return declared names that an unknown one may have been meant for.
