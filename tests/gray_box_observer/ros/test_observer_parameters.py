@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from std_msgs.msg import Bool
 
 from gray_box_observer.ros.topics import SIGNAL_QOS
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
-from gray_box_observer.settings.ros_parameter_file import flatten
+from gray_box_observer.settings.ros_parameter_file import NODE_NAME, flatten
 
 pytestmark = pytest.mark.system
 
@@ -293,3 +294,13 @@ def test_help_lists_every_parameter(peer):
     )
     assert code == 0
     assert all(f'\n  {spec.name} ' in out for spec in (*OBSERVER_PARAMETERS, *MOTOR_PARAMETERS))
+
+
+def test_a_node_of_very_many_motors_ends_soon_while_it_is_still_starting(peer):
+    process = peer.start('gray_box_observer.ros.observer.observer_node', motors='["m[1..10000]"]')
+    peer.wait(lambda: NODE_NAME in peer.node.get_node_names(), 'the node')
+    began_s = time.monotonic()
+    code, _, said = peer.end(process)
+    assert code == 0
+    assert time.monotonic() - began_s < 10.0
+    assert 'active' not in said and 'rror' not in said

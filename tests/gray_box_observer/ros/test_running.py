@@ -7,12 +7,16 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from contextlib import redirect_stderr
 from importlib import import_module
 from io import StringIO
+from unittest.mock import Mock
 
 import pytest
 from tests.conftest import free_domain
+
+from gray_box_observer.ros import running
 
 pytestmark = pytest.mark.system
 
@@ -37,6 +41,10 @@ SCRIPT = """
                 stop()
             self.create_timer(0.05, self.tick)
             print('up', flush=True)
+            if how == 'fails while it starts':
+                stop(BagError('disk full'))
+            while how in ('takes long to start', 'fails while it starts'):
+                stop.require_going_on(self)
 
         def tick(self):
             if how == 'raises':
@@ -148,3 +156,28 @@ def test_a_parameter_with_and_without_a_dot_is_refused_by_file_and_name(module, 
     assert end.value.code == 2
     (line,) = said.getvalue().splitlines()
     assert f"error: parameter file {path}: parameter 'voltage.topic' stands twice" in line
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_start_that_takes_long(number):
+    process = start('takes long to start')
+    assert process.stdout.readline() == 'up\n'
+    process.send_signal(number)
+    assert finish(process) == (0, '', [])
+
+
+def test_what_a_thread_reports_during_a_start_that_takes_long_is_not_lost():
+    code, _, lines = finish(start('fails while it starts'))
+    assert (code, lines) == (2, ['example: error: disk full'])
+
+
+def test_a_node_of_very_many_topics_is_not_taken_down_one_by_one():
+    node = Mock()
+    node.publishers = range(100_000)
+    node.destroy_publisher = Mock(side_effect=lambda _: time.sleep(0.001))
+    assert not running._take_down(node)
+    assert 0 < node.destroy_publisher.call_count < 1000
+    node.destroy_node.assert_not_called()
+    node.publishers = range(3)
+    assert running._take_down(node)
+    node.destroy_node.assert_called_once()

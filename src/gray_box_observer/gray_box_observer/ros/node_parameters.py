@@ -22,9 +22,16 @@ from gray_box_observer.settings.parameters import (
     ParameterSpec,
 )
 
+DECLARED_AT_ONCE = 500
+"""Parameters between two looks at whether to go on: a tenth of a second."""
 
-def declare(node: Node) -> Configuration:
+
+def declare(node: Node, require_going_on: Callable[[], None]) -> Configuration:
     """Declare every parameter with description, range and read-only flag; check the set.
+
+    Args:
+        node: the node.
+        require_going_on: called now and then; what it raises ends the work.
 
     Raises:
         ConfigurationError: a value of the wrong type or out of its range, values that do not fit
@@ -49,7 +56,10 @@ def declare(node: Node) -> Configuration:
         ]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
     # as it was understood
-    node.declare_parameters('', list(declarations), ignore_override=True)
+    for start in range(0, len(declarations), DECLARED_AT_ONCE):
+        require_going_on()
+        some = declarations[start : start + DECLARED_AT_ONCE]
+        node.declare_parameters('', list(some), ignore_override=True)
     settle(node, configuration.unknown, configuration.alike)
     return configuration
 

@@ -53,6 +53,22 @@ _PATIENCE_S = 1.0
 """A second interrupt this long after the first means that the user will not wait for a clean end.
 """
 
+_TAKE_DOWN_S = 0.3
+"""How long the publishers of a node that has ended are taken down one by one. Of tens of thousands
+that takes a minute; the middleware of others notices by itself that the process is gone."""
+
+
+class EndRequestedError(GrayBoxError):
+    """The end was asked for while a node was still starting.
+
+    Args:
+        node: as far as it has come.
+    """
+
+    def __init__(self, node: Node) -> None:
+        super().__init__('the end was asked for before the node had started')
+        self.node = node
+
 
 class Stop:
     """The way to end a running node, from any thread: ``stop()`` or ``stop(error)``.
@@ -79,6 +95,15 @@ class Stop:
     def is_requested(self) -> bool:
         """Whether the end has been asked for."""
         return self._is_requested
+
+    def require_going_on(self, node: Node) -> None:
+        """Leave the long start of a node: call it now and then from there.
+
+        Raises:
+            EndRequestedError: the end has been asked for.
+        """
+        if self._is_requested:
+            raise EndRequestedError(node)
 
     def future(self) -> Future:
         """Return a fresh future that completes at the end; it replaces the previous one."""
@@ -128,8 +153,9 @@ def run_node(
 
     A node that has a ``close()`` method gets it called before it is destroyed, while it can still
     publish; this is where files are finished. Errors of this package and whatever ROS refuses at
-    the start (parameters, names, arguments) become one line. A callback should call ``stop(error)``
-    rather than raise: the events executor logs a traceback of whatever a callback raises.
+    the start (parameters, names, arguments) become one line. A start that may take long calls
+    `Stop.require_going_on` now and then. A callback should call ``stop(error)`` rather than raise:
+    the events executor logs a traceback of whatever a callback raises.
 
     Args:
         make_node: Makes the node; gets the `Stop` with which the node can end itself.
@@ -153,17 +179,17 @@ def run_node(
             node = make_node(stop)
             if kept_here and tells_range:
                 node.get_logger().info(discovery.OPENED_BY)
+        except EndRequestedError as error:
+            return _end(name, stop, is_down=_take_down(error.node))
         except GrayBoxError as error:
             return _fail(name, error)
         except _STARTUP_ERRORS as error:
             return _fail(name, error)
         try:
-            _spin(node, stop, executor_factory)
+            is_down = _spin(node, stop, executor_factory)
         finally:
             rclpy.try_shutdown()
-        if stop.error is not None:
-            return _fail(name, stop.error)
-    return EXIT_DONE
+        return _end(name, stop, is_down=is_down)
 
 
 def _check_parameter_files(args: Sequence[str]) -> None:
@@ -183,8 +209,12 @@ def _check_parameter_files(args: Sequence[str]) -> None:
                 raise ConfigurationError(f'parameter file {value}: {error}') from None
 
 
-def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> None:
-    """Serve the node's callbacks until the end is asked for, then let it finish its work."""
+def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> bool:
+    """Serve the node's callbacks until the end is asked for, then let it finish its work.
+
+    Returns:
+        Whether the node was taken down; else there was too much of it.
+    """
     executor = executor_factory()
     executor.add_node(node)
     # What was made at the start lives to the end: a full collection that walks over it takes tens
@@ -209,7 +239,34 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> None:
             stop(error)
         executor.remove_node(node)
         executor.shutdown()
-        node.destroy_node()
+        is_down = _take_down(node)
+    return is_down
+
+
+def _take_down(node: Node) -> bool:
+    """Destroy a node whose work is done; tell whether that was possible in time."""
+    until_s = time.monotonic() + _TAKE_DOWN_S
+    for publisher in list(node.publishers):
+        if time.monotonic() > until_s:
+            return False
+        node.destroy_publisher(publisher)
+    node.destroy_node()
+    return True
+
+
+def _end(name: str, stop: Stop, *, is_down: bool) -> int:
+    """Return the exit code of an end that was asked for; say its reason, if it is an error.
+
+    What of a node is not down would be taken down on the way out, so that is left at once.
+    """
+    rclpy.try_shutdown()
+    code = EXIT_DONE if stop.error is None else _fail(name, stop.error)
+    if not is_down:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    return code
 
 
 def _close(node: Node) -> None:

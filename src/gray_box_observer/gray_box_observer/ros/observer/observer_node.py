@@ -32,7 +32,13 @@ from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.ros.observer.traffic import TrafficMeter
 from gray_box_observer.ros.periodic_task import PeriodicTasks
 from gray_box_observer.ros.qos import unused_overrides
-from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
+from gray_box_observer.ros.running import (
+    EndRequestedError,
+    Stop,
+    make_executor,
+    parse_arguments,
+    run_node,
+)
 from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Rejection
@@ -74,7 +80,7 @@ class ObserverNode(LifecycleNode):
         self._stop = stop
         self._state = 'unconfigured'
         self._reason = ''
-        self._configuration = declare(self)
+        self._configuration = declare(self, partial(stop.require_going_on, self))
         keeper = self._keeper = self._make_keeper(self._configuration)
         self._inputs = Inputs(
             self,
@@ -113,6 +119,7 @@ class ObserverNode(LifecycleNode):
         if self._configuration['autostart']:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != Transition.SUCCESS:
+                    stop.require_going_on(self)
                     raise ConfigurationError(self._reason)
 
     def on_configure(self, state: LifecycleState) -> Transition:
@@ -180,6 +187,8 @@ class ObserverNode(LifecycleNode):
             result = entities(state)
             self._state = goal
             self._arrived(verb)
+        except EndRequestedError:
+            return Transition.ERROR
         except GrayBoxError as error:
             self._reason = f'could not {verb}: {error}'
             self.get_logger().error(self._reason)
@@ -224,7 +233,8 @@ class ObserverNode(LifecycleNode):
                 'built without a C compiler: every block is learnt by numpy, at ten times the cost'
             )
         if self._outputs is None:
-            self._outputs = Outputs(self, self._configuration)
+            require_going_on = partial(self._stop.require_going_on, self)
+            self._outputs = Outputs(self, self._configuration, require_going_on)
         self._session.outputs = self._outputs
 
     def _deactivate(self) -> None:

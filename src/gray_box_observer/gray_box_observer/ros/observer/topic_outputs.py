@@ -43,38 +43,49 @@ NOTHING = (0.0, -1.0)
 
 
 class Outputs:
-    """Publishers of every motor; those of latched numbers go where nothing is known."""
+    """Publishers of every motor; those of latched numbers go where nothing is known.
 
-    def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
+    Args:
+        node: who publishes.
+        configuration: of the node.
+        require_going_on: called before the topics of each motor; what it raises ends the work.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        configuration: Configuration,
+        require_going_on: Callable[[], None] = lambda: None,
+    ) -> None:
         self._node = node
         self._predicted_torque = self._create(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
         motors = configuration.motors if configuration['motor_topics'] else {}
-        self._identified_topics = {
-            m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in motors
-        }
-        self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in motors}
-        self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in motors}
-        self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in motors}
+        self._identified_topics: dict[str, LatchedTopic] = {}
+        self._alarm: dict[str, LatchedTopic] = {}
+        self._covariance: dict[str, LatchedTopic] = {}
+        self._fit: dict[str, LatchedTopic] = {}
+        self._speed_std: dict[str, LatchedTopic] = {}
+        self._parameters: dict[str, ParameterTopics] = {}
         self._covariances: dict[str, MessageTemplate] = {}
         self._value, self._is = value_template(), yes_and_no()
-        self._parameters = {
-            m: ParameterTopics(node, m, motor.values['context_nodes'])
-            for m, motor in motors.items()
-        }
         self._followed_parameters: dict[str, tuple[Parameter, ...]] = {}
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
         self._torques, self._speeds = JointMessages(), JointMessages('velocity')
         self._speed = self._create(node, topics.SPEED)
         alone = len(configuration.motors) < configuration['group_from']
-        self._speed_std = {
-            m: LatchedTopic(node, topics.SPEED_STD, motor=m)
-            for m, motor in motors.items()
-            if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto')
-        }
+        for m, motor in motors.items():
+            require_going_on()
+            self._identified_topics[m] = LatchedTopic(node, topics.IDENTIFIED, motor=m)
+            self._alarm[m] = LatchedTopic(node, topics.ALARM, motor=m)
+            self._covariance[m] = LatchedTopic(node, topics.COVARIANCE, motor=m)
+            self._fit[m] = LatchedTopic(node, topics.FIT, motor=m)
+            self._parameters[m] = ParameterTopics(node, m, motor.values['context_nodes'])
+            if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto'):
+                self._speed_std[m] = LatchedTopic(node, topics.SPEED_STD, motor=m)
         self._open_stamps: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarm_flags: dict[tuple[str, ...], NDArray[np.bool_]] = {}
