@@ -428,7 +428,7 @@ def test_what_names_no_device_is_refused(device: str) -> None:
 def test_ranges_of_more_motors_than_a_node_bears_are_refused_before_they_are_written_out(
     motors: list[str],
 ) -> None:
-    refuse('motors: .* stands for .* motors, expected 100000 at most', motors=motors)
+    refuse('motors: .* stands for .* motors, expected 10000 at most', motors=motors)
 
 
 def test_a_whole_number_beyond_every_float_is_out_of_range() -> None:

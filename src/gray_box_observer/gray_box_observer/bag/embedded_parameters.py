@@ -79,7 +79,7 @@ def _disk_bytes(listing: Listing) -> int:
 
 
 def _is_list_of_names(value: object) -> bool:
-    """Whether a value lists motors one by one: a range in a few bytes could mean 100,000."""
+    """Whether a value lists motors one by one: a range in a few bytes could mean 10,000."""
     return isinstance(value, list) and all(
         isinstance(entry, str) and not _RANGE.search(entry) for entry in value
     )

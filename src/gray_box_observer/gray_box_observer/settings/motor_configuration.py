@@ -21,7 +21,7 @@ from gray_box_observer.white_box.declaration import TERMS, State
 RANGE = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
 """Many motors with a number behind their name: ``m[1..1000]``."""
 
-MOST_MOTORS = 100_000
+MOST_MOTORS = 10_000
 """Of a whole list, ranges written out: more would take the node minutes and gigabytes before it
 hears anything."""
 
