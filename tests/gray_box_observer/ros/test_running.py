@@ -171,7 +171,8 @@ def test_what_a_thread_reports_during_a_start_that_takes_long_is_not_lost():
     assert (code, lines) == (2, ['example: error: disk full'])
 
 
-def test_a_node_of_very_many_topics_is_not_taken_down_one_by_one():
+def test_a_node_of_very_many_topics_is_not_taken_down_one_by_one(monkeypatch):
+    monkeypatch.setattr(running, '_TAKE_DOWN_S', 0.2)
     node = Mock()
     node.publishers = range(100_000)
     node.destroy_publisher = Mock(side_effect=lambda _: time.sleep(0.001))

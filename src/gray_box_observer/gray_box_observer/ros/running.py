@@ -53,9 +53,9 @@ _PATIENCE_S = 1.0
 """A second interrupt this long after the first means that the user will not wait for a clean end.
 """
 
-_TAKE_DOWN_S = 0.3
+_TAKE_DOWN_S = 2.0
 """How long the publishers of a node that has ended are taken down one by one. Of tens of thousands
-that takes a minute; the middleware of others notices by itself that the process is gone."""
+that takes a minute: then the process ends at once, and others see it go by its lease."""
 
 
 class EndRequestedError(GrayBoxError):
