@@ -167,6 +167,25 @@ def test_a_type_that_holds_itself_is_refused(field: str) -> None:
         message_decoder('test/msg/Top', f'Part effort{SEPARATOR}Part\n{field}')
 
 
+def chain(letter: str, count: int, end: str) -> str:
+    """Types that hold each other in a row, the last of them another field."""
+    fields = [f'{letter}{k + 1} x' for k in range(count - 1)] + [end]
+    return ''.join(f'{SEPARATOR}{letter}{k}\n{field}' for k, field in enumerate(fields))
+
+
+@pytest.mark.parametrize('field', ['A0 x', 'A0[] x', 'A0[2] x'])
+def test_types_met_before_at_a_shallower_level_are_nested_no_deeper_either(field: str) -> None:
+    levels = MOST_NESTING // 2
+    shallow = chain('A', levels, 'uint8 x')
+    fits = f'A0 first\nB0 second{shallow}{chain("B", levels, field)}'
+    message_decoder('test/msg/Top', fits)
+    beyond = f'A0 first\nB0 second{shallow}{chain("B", levels + 1, field)}'
+    with pytest.raises(ValueError, match=f'more than {MOST_NESTING} levels'):
+        message_decoder('test/msg/Top', beyond)
+    with pytest.raises(ValueError, match=f'more than {MOST_NESTING} levels'):
+        message_decoder('test/msg/Top', beyond.replace('A0 first\n', ''))
+
+
 def test_what_cannot_be_decoded_is_refused_only_where_it_stands() -> None:
     definition = 'uint8 a\nGone[] b\nwstring[] c'
     assert plain(decoded('uint8 a\nGone[] b', LITTLE + bytes(8))) == {'a': 0, 'b': []}

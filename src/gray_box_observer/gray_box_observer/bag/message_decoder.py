@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef
@@ -106,13 +107,28 @@ def message_decoder(type_name: str, definition: str) -> Callable[[bytes], Any]:
         specifications[full_name] = specifications[short_name] = specification
 
     _for_each_msgdef(type_name, definition, add)
-    read, value_count = _Types(specifications).compile(type_name, 0)
-    if value_count > MOST_MESSAGE_VALUES:
+    top = _Types(specifications).compile(type_name, 0)
+    if top.value_count > MOST_MESSAGE_VALUES:
         raise ValueError(
-            f'every message makes {value_count} values, expected at most {MOST_MESSAGE_VALUES}'
+            f'every message makes {top.value_count} values, expected at most {MOST_MESSAGE_VALUES}'
         )
-    spare_count = MOST_MESSAGE_VALUES - value_count
-    return lambda data: read(_Cdr(data, spare_count))
+    spare_count = MOST_MESSAGE_VALUES - top.value_count
+    return lambda data: top.read(_Cdr(data, spare_count))
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """What reads a type or a field.
+
+    Attributes:
+        read: Takes one out of the bytes.
+        value_count: How many values one makes without those of sequences.
+        level_count: Levels of types that lie below it.
+    """
+
+    read: _Read
+    value_count: int
+    level_count: int = 0
 
 
 class _Types:
@@ -120,59 +136,70 @@ class _Types:
 
     def __init__(self, specifications: dict[str, Any]) -> None:
         self._specifications = specifications
-        self._by_name: dict[str, tuple[_Read, int]] = {}
+        self._readers: dict[str, _Reader] = {}
 
-    def compile(self, name: str, level: int) -> tuple[_Read, int]:
-        """Return what reads a type, and how many values one makes without those of sequences.
+    def compile(self, name: str, level: int) -> _Reader:
+        """Return what reads a type.
 
         Args:
             name: Of the type.
             level: Of nesting; a type that holds itself has no end of them.
 
         Raises:
-            ValueError: There are too many levels.
+            ValueError: There are too many levels, be they of types that are compiled already.
         """
-        if name in self._by_name:
-            return self._by_name[name]
-        if level > MOST_NESTING:
+        reader = self._readers.get(name)
+        if level + (0 if reader is None else reader.level_count) > MOST_NESTING:
             raise ValueError(f'more than {MOST_NESTING} levels of types in types')
+        if reader is None:
+            reader = self._readers[name] = self._compile(name, level)
+        return reader
+
+    def _compile(self, name: str, level: int) -> _Reader:
+        """Return what reads a type that is new."""
         specification = self._specifications.get(name)
         if specification is None:
-            return _refusal(f'there is no definition of {name}'), 1
-        fields: list[tuple[str, _Read]] = []
-        value_count = 1
-        for field in specification.fields:
-            read, field_count = self._field(field.type, level)
-            fields.append((field.name, read))
-            value_count += field_count
-        kind = type(specification.msg_name, (), {'__slots__': [name for name, _ in fields]})
-        # IDL has no empty type: a byte takes its place.
-        read_message = _message(kind, fields) if fields else _empty_message(kind)
-        self._by_name[name] = read_message, value_count
-        return self._by_name[name]
+            return _Reader(_refusal(f'there is no definition of {name}'), 1)
+        names = [field.name for field in specification.fields]
+        readers = [self._field(field.type, level) for field in specification.fields]
+        fields = [(name, reader.read) for name, reader in zip(names, readers, strict=True)]
+        kind = type(specification.msg_name, (), {'__slots__': names})
+        return _Reader(
+            # IDL has no empty type: a byte takes its place.
+            _message(kind, fields) if fields else _empty_message(kind),
+            1 + sum(reader.value_count for reader in readers),
+            max((reader.level_count for reader in readers), default=0),
+        )
 
-    def _field(self, field_type: Any, level: int) -> tuple[_Read, int]:
-        """Return what reads a field, and how many values it makes without those of sequences."""
+    def _field(self, field_type: Any, level: int) -> _Reader:
+        """Return what reads a field."""
         name = field_type.type
         size = field_type.array_size if field_type.is_fixed_size_array() else None
         if not field_type.is_primitive_type():
-            read, count = self.compile(f'{field_type.pkg_name}/{name}', level + 1)
+            entry = self.compile(f'{field_type.pkg_name}/{name}', level + 1)
+            level_count = entry.level_count + 1
             if not field_type.is_array:
-                return read, count
+                return _Reader(entry.read, entry.value_count, level_count)
             if size is not None:
-                return _fixed_array(read, size), 1 + size * count
-            return _sequence(read, count), 1
+                read = _fixed_array(entry.read, size)
+                return _Reader(read, 1 + size * entry.value_count, level_count)
+            return _Reader(_sequence(entry.read, entry.value_count), 1, level_count)
+        return _Reader(self._primitive(field_type, size), 1)
+
+    def _primitive(self, field_type: Any, size: int | None) -> _Read:
+        """Return what reads a number or a text, or an array of them."""
+        name = field_type.type
         if name == 'string':
             if not field_type.is_array:
-                return _text, 1
-            return (_sequence(_text, 1), 1) if size is None else (_fixed_array(_text, size), 1)
+                return _text
+            return _sequence(_text, 1) if size is None else _fixed_array(_text, size)
         if name not in _NUMBERS:
-            return _refusal(f'{name} is not supported'), 1
+            return _refusal(f'{name} is not supported')
         if not field_type.is_array:
-            return _number(_NUMBERS[name]), 1
+            return _number(_NUMBERS[name])
         if name in _BYTES:
-            return _byte_array(size), 1
-        return _number_array(_NUMBERS[name], size), 1
+            return _byte_array(size)
+        return _number_array(_NUMBERS[name], size)
 
 
 def _message(kind: type, fields: list[tuple[str, _Read]]) -> _Read:
