@@ -19,7 +19,7 @@ from gray_box_observer.bag.limits import MOST_MESSAGE_VALUES, MOST_NESTING
 _HEADER_BYTES = 4
 _NUMBERS = {
     'bool': '?',
-    'char': 'b',
+    'char': 'B',
     'int8': 'b',
     'byte': 'B',
     'uint8': 'B',
@@ -32,7 +32,8 @@ _NUMBERS = {
     'float32': 'f',
     'float64': 'd',
 }
-_BYTES = ('byte', 'uint8')
+_BYTES = ('byte', 'char', 'uint8')
+"""In ROS 2 `char` is another name of `uint8`, which `mcap_ros2` takes for a signed one."""
 
 
 class _Cdr:
