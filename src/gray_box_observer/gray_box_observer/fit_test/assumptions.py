@@ -98,11 +98,12 @@ def _doubt_of_sizes(motor: MotorConfiguration, white_box: MotorWhiteBox, samples
     Too little voltage for a current is no reason: a rotor that is turned or braked gives current
     at no voltage at all.
     """
-    samples = samples[:, np.isfinite(samples[: TORQUE + 1]).all(axis=0)]
-    if samples.shape[1] < FEWEST_JUDGED:
+    sizes = np.abs(samples[[VOLTAGE, TORQUE]])
+    is_usable = np.isfinite(sizes).all(axis=0)
+    voltage_v, torque_nm = sizes if is_usable.all() else sizes[:, is_usable]
+    if voltage_v.size < FEWEST_JUDGED:
         return ''
-    current_a = np.abs(np.asarray(white_box.state(samples[TORQUE]), dtype=float))
-    voltage_v = np.abs(samples[VOLTAGE])
+    current_a = np.abs(np.asarray(white_box.state(torque_nm), dtype=float))
     if not _are_rare(current_a, voltage_v):  # the usual case, without looking for spikes
         return ''
     current_a = np.minimum(current_a, quantile(current_a, USUAL))

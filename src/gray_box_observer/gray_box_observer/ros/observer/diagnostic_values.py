@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from gray_box_observer.context_nodes import Estimate
@@ -13,8 +14,14 @@ if TYPE_CHECKING:
     from gray_box_observer.ros.observer.diagnostics import Situation
 
 
-def values_of(motor: str, now: Situation) -> dict[str, str]:
-    """Everything that is known of a motor, as text."""
+def values_of(motor: str, now: Situation, assumption_texts: Mapping[str, str]) -> dict[str, str]:
+    """Return everything that is known of a motor, as text.
+
+    Args:
+        motor: its name.
+        now: what there is to be told about.
+        assumption_texts: what is taken for granted of it, by short name.
+    """
     values = {**_counts(motor, now), **_balance(motor, now)}
     view = now.observer.motors.get(motor)
     if view is None:
@@ -29,7 +36,6 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
         values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
     if view.stall is not None:
         values['stalls'] = str(view.stall.count)
-    assumption_texts = view.assumptions
     values['assumptions'] = '; '.join(assumption_texts.values()) or 'none'
     delay = view.delay
     values['delay in words'] = delay.words

@@ -8,11 +8,12 @@ comes.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.message_input import MessageInput
@@ -102,9 +103,13 @@ class Situation:
 
 def status_of(motor: str, situation: Situation) -> DiagnosticStatus:
     """Describe one motor."""
+    view = situation.observer.motors.get(motor)
+    assumption_texts = {} if view is None else view.assumptions
+    values = values_of(motor, situation, assumption_texts)
     if situation.state != 'active':
-        return idle_status(motor, situation.node, situation.state, values_of(motor, situation))
-    return _status(motor, situation.node, _judge(motor, situation), values_of(motor, situation))
+        return idle_status(motor, situation.node, situation.state, values)
+    judgement = _judge(motor, situation, assumption_texts)
+    return _status(motor, situation.node, judgement, values)
 
 
 def idle_status(motor: str, node: str, state: str, values: dict[str, str]) -> DiagnosticStatus:
@@ -138,7 +143,7 @@ def _status(
     )
 
 
-def _judge(motor: str, now: Situation) -> Judgement:
+def _judge(motor: str, now: Situation, assumption_names: Collection[str]) -> Judgement:
     """Find the first thing that an operator has to know."""
     return (
         _judge_stopped(motor, now)
@@ -147,7 +152,7 @@ def _judge(motor: str, now: Situation) -> Judgement:
         or _failed_training(motor, now)
         or _nothing_new(motor, now)
         or _something_spoilt(motor, now)
-        or _verdicts(motor, now)
+        or _verdicts(motor, now, assumption_names)
     )
 
 
@@ -297,7 +302,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     return None
 
 
-def _verdicts(motor: str, now: Situation) -> Judgement:
+def _verdicts(motor: str, now: Situation, assumption_names: Collection[str]) -> Judgement:
     """What the estimates themselves say."""
     estimate = now.observer.motors[motor].estimate
     advice = _advice(motor, now)
@@ -313,10 +318,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     change_count = now.traffic.motors[motor].changes
     if estimate.identified(0):
         change_note = ': the motor has changed and was followed' if change_count else ''
-        return (
-            DiagnosticStatus.OK,
-            f'every parameter identified{change_note}{_small_print(motor, now)}',
-        )
+        small_print = _small_print(estimate, assumption_names)
+        return DiagnosticStatus.OK, f'every parameter identified{change_note}{small_print}'
     if now.observer.frozen:
         return DiagnosticStatus.OK, 'frozen'
     return (
@@ -331,10 +334,9 @@ def _advice(motor: str, now: Situation) -> Judgement | None:
     return None if advice is None else (DiagnosticStatus.WARN, advice)
 
 
-def _small_print(motor: str, now: Situation) -> str:
+def _small_print(estimate: Estimate, assumption_names: Collection[str]) -> str:
     """What an identified motor leans on: nearly zero parameters, and unstated assumptions."""
     note = ''
-    estimate = now.observer.motors[motor].estimate
     names = [
         parameter.name
         for parameter, verdict in zip(estimate.parameters, estimate.verdicts[0], strict=True)
@@ -342,8 +344,6 @@ def _small_print(motor: str, now: Situation) -> str:
     ]
     if names:
         note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
-    view = now.observer.motors[motor]
-    assumption_texts = view.assumptions
-    if assumption_texts:
-        note += f'; assumed: {", ".join(assumption_texts)}, see assumptions'
+    if assumption_names:
+        note += f'; assumed: {", ".join(assumption_names)}, see assumptions'
     return note
