@@ -534,7 +534,9 @@ class Observer:
             assert observer is not None
             if pairing.repeats(sample):  # it was predicted, scored and reported before
                 again = observer.update_parameters(sample)
-                if again is not None and again.checked() and results:
+                if again is not None and not again.is_finite:
+                    raise ArithmeticError(NOT_FINITE)
+                if again is not None and results:
                     results[-1] = replace(
                         results[-1], estimate=again, changed_motors=observer.changed_motors
                     )
