@@ -46,8 +46,7 @@ class CheckpointFolder:
             os.path.normpath(folder_path.absolute())
         )  # as it was given: no link is followed
         self._configured_path = None if folder else path
-        self._start_folder: Path | None = None
-        self._start_folder = self.file(path).parent
+        self._start_folder = self._file_within(path).parent
 
     def file(self, path: str) -> Path:
         """Return the file that a path means: relative to the folder, or absolute and inside it.
@@ -57,6 +56,12 @@ class CheckpointFolder:
                 by a symbolic link; or it names a folder that is not there and was not given at
                 the start.
         """
+        file = self._file_within(path)
+        self._check_parent(path, file.parent)
+        return file
+
+    def _file_within(self, path: str) -> Path:
+        """Return the file that a path means, be its folder there or still to be made."""
         requested_file = Path(path)
         if not requested_file.name or not path.isprintable():
             raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
@@ -90,12 +95,11 @@ class CheckpointFolder:
                 'give a path in there, or another checkpoint.folder when the node starts'
             )
         _check_name(path, (*real_file.relative_to(real_folder).parts, requested_file.name))
-        self._check_parent(path, file.parent)
         return file
 
     def _check_parent(self, path: str, parent: Path) -> None:
         """Refuse a folder that would have to be made, unless it was given at the start."""
-        if self._start_folder in (None, parent) or parent == self.folder or parent.is_dir():
+        if parent in (self._start_folder, self.folder) or parent.is_dir():
             return
         raise ConfigurationError(
             f'checkpoint.path {path!r} names a folder that is not there: make {parent} first; only '
