@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.observer.combined_signal import CombinedSignal
+from gray_box_observer.observer.combined_signal import CombinedSignal, Stamped
 from gray_box_observer.observer.message_input import InputResult, MessageInput
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.observer import Observer
@@ -77,10 +79,16 @@ class WatchedCore:
         self.observer = Observer(configuration, self._training)
         self._message_input = MessageInput(self.observer, configuration)
         self._delivered: Counter[str] = Counter()
+        self._begun: Counter[str] = Counter()
+        """Values of expressions that only begin a rate of change, by signal."""
+        for signal, source in self._message_input.signals.items():
+            if isinstance(source, CombinedSignal):
+                source.ingest = partial(self._count_begun, signal, source.ingest)
         self._topics = {
             signal: feed.topic for feed in configuration.feeds for signal in feed.signals
         }
         """Of inputs of expressions; one a signal here."""
+        self._received_before = self._received()
 
     @property
     def digest(self) -> str:
@@ -139,6 +147,7 @@ class WatchedCore:
             self.observer.close()
             self._begin()
             checkpoint.load(self.observer, path)
+        self._received_before = self._received()
         after = self.observer.estimates()
         for name, estimate in before.items():
             assert estimate.value.tobytes() == after[name].value.tobytes(), (
@@ -169,10 +178,35 @@ class WatchedCore:
         incidents = self.observer.incidents
         assert not incidents, f'a defect has stopped motors: {incidents}'
         for signal, delivered in self._delivered.items():
-            known = self._message_input.message_counts[signal]
-            waits = isinstance(self._message_input.signals[signal], CombinedSignal)
-            self.unbalanced += 0 if waits else abs(delivered - known)
+            self.unbalanced += abs(delivered - self._message_input.message_counts[signal])
+        self._balance_topics()
         self._balance_speed()
+
+    def _balance_topics(self) -> None:
+        """Compare what came of a motor alone with what its topics brought that could be used."""
+        if len(self.observer.configuration.motors) != 1:
+            return
+        counts = self._message_input
+        for signal, received in self._received().items():
+            lost = counts.rejection_counts[signal].total() + counts.others[signal]
+            known = counts.message_counts[signal] - lost - self._begun[signal]
+            self.unbalanced += abs(received - self._received_before[signal] - known)
+
+    def _received(self) -> Counter[str]:
+        """Return how many voltages and torques have come of all motors, by signal."""
+        every = [self.observer.counts(name) for name in self.observer.configuration.motors]
+        return Counter(
+            voltage=sum(counts.received_voltage for counts in every),
+            torque=sum(counts.received_torque for counts in every),
+        )
+
+    def _count_begun(
+        self, signal: str, ingest: Callable[..., list[Stamped]], *message: Any
+    ) -> list[Stamped]:
+        """Let an expression take a message; count the values that there are none of yet."""
+        values = ingest(*message)
+        self._begun[signal] += sum(one.reading is None and one.reason is None for one in values)
+        return values
 
     def _balance_speed(self) -> None:
         """Compare the refused speeds of a motor alone with what came; none may be more."""
