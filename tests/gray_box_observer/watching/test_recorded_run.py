@@ -10,11 +10,15 @@ from typing import ClassVar
 
 import pytest
 
+from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
+from gray_box_observer.bag.schemas import built_in_lookup, schema_text
+from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.errors import BagError
 from gray_box_observer.watching import recorded_run
 from gray_box_observer.watching.recorded_run import Playback, watch_bag
 from gray_box_observer.watching.table_display import TableDisplay
 
+MS_10 = 10_000_000
 MODERATE = Path(__file__).resolve().parents[3] / 'bags' / 'moderate'
 
 
@@ -107,6 +111,35 @@ def test_a_recorded_observer_is_shown_as_it_was(
     assert '3  ± 0.2' in text and 'misfit' in text and 'mend it' in text
     with pytest.raises(BagError, match='holds no estimates of /r2/o'):
         shown(tmp_path / 'bag', Playback(observers=('/r2/o',)))
+
+
+def shifted_bag(folder: Path, shift_s: int, stamps_ns: list[int]) -> Path:
+    """Voltage and torque of these stamps, recorded so many seconds later: a replay of another."""
+    bag = folder / 'again'
+    with BagWriter(bag) as writer:
+        for topic in ('/motor/voltage', '/motor/torque'):
+            writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
+        for k, stamp_ns in enumerate(stamps_ns):
+            log_time_ns = stamps_ns[0] + shift_s * 10**9 + k * MS_10
+            for topic in ('/motor/voltage', '/motor/torque'):
+                data = encode_joint_state(stamp_ns, ['motor'], effort=[float(k // 20 % 2)])
+                writer.write(topic, data, log_time_ns, log_time_ns)
+    return bag
+
+
+@pytest.mark.parametrize('shift_s', [0, 1_795_538_704, -1000])
+@pytest.mark.parametrize('rate', [0.0, 1e6])
+def test_the_time_is_that_of_the_samples_whenever_they_were_recorded(
+    tmp_path: Path, shift_s: int, rate: float
+) -> None:
+    bag = shifted_bag(tmp_path, shift_s, [10**13 + k * MS_10 for k in range(401)])
+    assert 'again  4.0 s' in shown(bag, Playback(rate=rate))
+
+
+def test_the_time_goes_on_where_stamps_begin_anew(tmp_path: Path) -> None:
+    first = [10**13 + k * MS_10 for k in range(401)]
+    later = [10**12 + k * MS_10 for k in range(301)]
+    assert 'again  7.0 s' in shown(shifted_bag(tmp_path, 0, first + later))
 
 
 def test_a_bag_without_a_usable_sample_is_refused(tmp_path: Path) -> None:

@@ -70,10 +70,11 @@ def watch_bag(
     """
     with BagReader(path) as bag:
         estimate_topics = _recorded_topics(bag, playback.observers)
-        start_ns = bag.start_ns
+        start_ns = bag.start_ns if estimate_topics else None  # samples go by their own stamps
     if playback.observers and not estimate_topics:
         raise BagError(f'{path} holds no estimates of {", ".join(playback.observers)}')
-    screen = _Screen(path, start_ns, playback, display, WatchedState(playback.observers))
+    state = WatchedState(playback.observers)
+    screen = _Screen(path, start_ns, playback, display, state)
     try:
         if estimate_topics:
             warnings = _show_recorded(path, estimate_topics, screen)
@@ -87,12 +88,20 @@ def watch_bag(
 
 
 class _Screen:
-    """Holds the run back to the rate of the bag, and shows the table when it is due."""
+    """Holds the run back to the rate of the bag, and shows the table when it is due.
+
+    Args:
+        path: of the bag.
+        start_ns: when the recorded time begins; None: with the first that it goes on to.
+        playback: rate and period.
+        display: where the table goes.
+        state: what it shows.
+    """
 
     def __init__(
         self,
         path: Path,
-        start_ns: int,
+        start_ns: int | None,
         playback: Playback,
         display: TableDisplay,
         state: WatchedState,
@@ -101,16 +110,26 @@ class _Screen:
         self._name = path.name
         self._display = display
         self._playback = playback
-        self._start_ns = start_ns
-        self._now_ns = start_ns
         self._pacer = Pacer(playback.rate)
-        self._pacer.restart(start_ns)
+        self._start_ns = self._now_ns = 0
+        self._has_begun = False
+        if start_ns is not None:
+            self._begin(start_ns)
         self._shown_s = time.monotonic()
+
+    def _begin(self, start_ns: int) -> None:
+        self._start_ns = self._now_ns = start_ns
+        self._has_begun = True
+        self._pacer.restart(start_ns)
 
     def advance(self, now_ns: int) -> float:
         """Go on to a recorded time, once it has come; return it in s since the beginning."""
+        if not self._has_begun:
+            self._begin(now_ns)
         if now_ns < self._now_ns:
             self._pacer.restart(now_ns)
+        if now_ns < self._start_ns:  # another clock: the time goes on from where it was
+            self._start_ns = now_ns - (self._now_ns - self._start_ns)
         self._now_ns = now_ns
         if self._playback.rate > 0:
             self._pacer.wait(now_ns)
