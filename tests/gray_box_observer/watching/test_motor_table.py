@@ -19,8 +19,8 @@ FACTS = {
 }
 
 
-def watched(motors: int = 1) -> WatchedState:
-    state = WatchedState()
+def watched(motors: int = 1, *, is_recorded: bool = False) -> WatchedState:
+    state = WatchedState(is_recorded=is_recorded)
     names = [f'm{k}' for k in range(motors)]
     for second in range(5):
         state.add_estimates(
@@ -71,7 +71,9 @@ def test_more_motors_than_are_wanted_are_counted() -> None:
 
 
 def test_a_silent_observer_is_told() -> None:
-    assert 'silent for 60 s' in composed(ObserverTables(watched(), 64.0))
+    assert 'silent for 60 s: has it ended?' in composed(ObserverTables(watched(), 64.0))
+    recorded = composed(ObserverTables(watched(is_recorded=True), 64.0))
+    assert 'silent in the last 60 s' in recorded and 'has it ended?' not in recorded
 
 
 def test_ascii_serves_where_there_is_nothing_else() -> None:

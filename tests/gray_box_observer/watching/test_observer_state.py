@@ -110,3 +110,30 @@ def test_the_first_motors_have_a_course_however_many_follow(
     motors = state.observers['/o'].motors.values()
     assert all(motor.has_numbers for motor in motors)
     assert [len(motor.parameters['resistance'].history) for motor in motors] == [2] * 3 + [0] * 3
+
+
+QUIET = 'no new sample: nobody publishes /motor/torque: does its driver run?'
+
+
+def test_what_helps_a_silent_motor_is_advised_live_and_told_of_a_recording() -> None:
+    for is_recorded in (False, True):
+        state = WatchedState(is_recorded=is_recorded)
+        state.add_status('/o', 'left', 3, 'inactive: activate the node', {}, 1.0)
+        motor = state.observers['/o'].motors['left']
+        words = 'inactive when this was recorded' if is_recorded else 'inactive: activate the node'
+        assert (motor.level, motor.advice) == ('stale', words)
+        state.add_status('/o', 'left', 1, 'not excited: vary the voltage', {}, 2.0)
+        assert (motor.level, motor.advice) == ('warn', 'not excited: vary the voltage')
+        for now_s in (3.0, 4.0):
+            state.add_status('/o', 'left', 3, QUIET, {}, now_s)
+        if is_recorded:
+            words = 'no new sample from 3.0 s on; before that: not excited: vary the voltage'
+            assert (motor.level, motor.advice) == ('warn', words)
+        else:
+            assert (motor.level, motor.advice) == ('stale', QUIET)
+        state.add_status('/o', 'left', 0, 'converging', {}, 5.0)
+        assert (motor.level, motor.advice) == ('ok', 'converging')
+        state.add_status('/o', 'left', 3, QUIET, {}, 6.0)
+        assert motor.advice == (
+            'no new sample from 6.0 s on; before that: converging' if is_recorded else QUIET
+        )

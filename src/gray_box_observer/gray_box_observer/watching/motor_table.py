@@ -77,14 +77,14 @@ class ObserverTables:
         for observer in observers:
             motors = observer.worst_first(self._most)
             line_count = sum(len(motor.parameters) + LINES_OF_A_MOTOR for motor in motors) + 2
-            yield _title(observer, len(motors), self._now_s)
+            yield _title(observer, len(motors), self._now_s, self._state.is_recorded)
             if lines is None or line_count <= lines:
                 yield from _detailed(motors, plain=plain)
             else:
                 yield _compact(motors[: max(1, lines - 5)], plain=plain)
 
 
-def _title(observer: ObserverState, shown_count: int, now_s: float) -> Text:
+def _title(observer: ObserverState, shown_count: int, now_s: float, is_recorded: bool) -> Text:
     """Name an observer, how many motors it has, and whether it is heard."""
     text = Text(printable(observer.name, LONGEST_NAME * 3), style='bold')
     count = len(observer.motors)
@@ -96,7 +96,12 @@ def _title(observer: ObserverState, shown_count: int, now_s: float) -> Text:
         text.append(f', {shown_count} shown', style='dim')
     silent_s = observer.silence_s(now_s)
     if silent_s is not None:
-        text.append(f'  silent for {silent_s:.0f} s: has it ended?', style=STYLES['error'])
+        words = (
+            f'silent in the last {silent_s:.0f} s'
+            if is_recorded
+            else f'silent for {silent_s:.0f} s: has it ended?'
+        )
+        text.append(f'  {words}', style=STYLES['error'])
     return text
 
 

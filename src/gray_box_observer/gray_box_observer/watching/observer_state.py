@@ -37,6 +37,9 @@ NO_STD = -1.0
 LEVELS = ('ok', 'warn', 'error', 'stale')
 """Levels of diagnostic_msgs/DiagnosticStatus, by their numbers."""
 
+STALE = LEVELS.index('stale')
+"""Nothing comes of a motor: what its diagnostics advise then is to be done at once or never."""
+
 SILENT_S = 5.0
 """An observer that says nothing for so long has ended or hangs: diagnostics come every second."""
 
@@ -78,11 +81,15 @@ class MotorState:
         facts: their key-value pairs.
         parameters: by name.
         has_history: whether the course of its parameters is remembered.
+        last_word: level and line of its diagnostics when something came of it last; None before.
+        quiet_s: since when nothing comes of it; None where something does.
     """
 
     name: str
     level: str = ''
     advice: str = ''
+    last_word: tuple[int, str] | None = None
+    quiet_s: float | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
     parameters: dict[str, ParameterState] = field(default_factory=dict)
     has_history: bool = True
@@ -143,13 +150,15 @@ class WatchedState:
 
     Args:
         observers: names of the only ones that are wanted; none for all.
+        is_recorded: whether all was recorded, so that nobody can act on it any more.
 
     Attributes:
         observers: by name.
         count: grows with everything that was taken in.
     """
 
-    def __init__(self, observers: Sequence[str] = ()) -> None:
+    def __init__(self, observers: Sequence[str] = (), *, is_recorded: bool = False) -> None:
+        self.is_recorded = is_recorded
         self._observer_names = frozenset(observers)
         self.observers: dict[str, ObserverState] = {}
         self.count = 0
@@ -204,6 +213,8 @@ class WatchedState:
         entry = None if state is None else state.motor(motor)
         if state is None or entry is None:
             return
+        if self.is_recorded:
+            level, advice = _as_recorded(entry, level, advice, now_s)
         entry.level = LEVELS[level] if 0 <= level < len(LEVELS) else LEVELS[-1]
         entry.advice, entry.facts = advice, facts
         for key, verdict in facts.items():
@@ -231,6 +242,20 @@ class WatchedState:
 def _new_parameter(name: str) -> ParameterState:
     unit = TERMS[name].parameter.unit if name in TERMS else ''
     return ParameterState(name, unit)
+
+
+def _as_recorded(motor: MotorState, level: int, advice: str, now_s: float) -> tuple[int, str]:
+    """Return level and line of recorded diagnostics, without what helped at that moment alone."""
+    if level != STALE:
+        motor.last_word, motor.quiet_s = (level, advice), None
+        return level, advice
+    what = advice.partition(':')[0]
+    if motor.quiet_s is None:
+        motor.quiet_s = now_s
+    if motor.last_word is None:
+        return level, f'{what} when this was recorded'
+    level, advice = motor.last_word
+    return level, f'{what} from {motor.quiet_s:.1f} s on; before that: {advice}'
 
 
 def _update(

@@ -73,7 +73,7 @@ def watch_bag(
         start_ns = bag.start_ns if estimate_topics else None  # samples go by their own stamps
     if playback.observers and not estimate_topics:
         raise BagError(f'{path} holds no estimates of {", ".join(playback.observers)}')
-    state = WatchedState(playback.observers)
+    state = WatchedState(playback.observers, is_recorded=True)
     screen = _Screen(path, start_ns, playback, display, state)
     try:
         if estimate_topics:
