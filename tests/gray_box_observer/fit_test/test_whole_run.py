@@ -69,6 +69,9 @@ def test_the_mean_fits_by_0_per_cent_and_what_does_not_vary_by_nothing() -> None
     assert fit_percent(measured, np.full(4, 7.0 / 3.0)) == pytest.approx(0.0, abs=1e-12)
     assert fit_percent(measured, measured) == 100.0
     assert fit_percent(np.ones(5), np.ones(5)) is None
+    constant = np.full(1001, 0.1)
+    assert np.std(constant) > 0.0, 'by rounding alone'
+    assert fit_percent(constant, np.zeros(1001)) is None
 
 
 def test_of_white_noise_99_per_cent_of_the_correlations_stay_in_the_band() -> None:

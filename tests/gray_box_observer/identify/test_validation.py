@@ -156,3 +156,10 @@ def test_what_has_no_number_is_not_judged() -> None:
         'nmae': None,
         'fit_percent': None,
     }
+
+
+def test_a_torque_that_does_not_vary_has_no_figure_relative_to_its_spread() -> None:
+    judged = Score.judge(np.full(1001, 0.1), np.zeros(1001))
+    assert judged.rmse == pytest.approx(0.1)
+    assert judged.nmae is None
+    assert judged.fit_percent is None

@@ -78,3 +78,11 @@ def test_motors_are_scored_apart() -> None:
         )
     assert scores.skill(0).skill_vs_persistence == pytest.approx(1.0 - 2.5 / 8.0)
     assert scores.skill(1).skill_vs_persistence == pytest.approx(0.0)
+
+
+def test_a_torque_that_does_not_vary_gives_no_error_relative_to_its_spread() -> None:
+    torque = [0.1] * 101
+    said = {name: [0.2] * 101 for name in ('predictor', 'persistence', 'white_box')}
+    skill = scored(torque, said, window=101).skill(0)
+    assert skill.samples == 101
+    assert skill.nmae is None

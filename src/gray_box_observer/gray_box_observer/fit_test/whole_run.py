@@ -8,6 +8,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
 from gray_box_observer.context_nodes.rotor.window import rotor_current
+from gray_box_observer.samples.spread import spread
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -114,12 +115,11 @@ def fit_percent(measured_values: Array, predicted_values: Array) -> float | None
     both = np.isfinite(measured_values) & np.isfinite(predicted_values)
     if np.count_nonzero(both) < 2:
         return None
-    spread = float(np.linalg.norm(measured_values[both] - np.mean(measured_values[both])))
-    if not spread > 0.0:
+    if spread(measured_values[both]) is None:
         return None
-    return 100.0 * (
-        1.0 - float(np.linalg.norm(measured_values[both] - predicted_values[both])) / spread
-    )
+    variation = float(np.linalg.norm(measured_values[both] - np.mean(measured_values[both])))
+    error = float(np.linalg.norm(measured_values[both] - predicted_values[both]))
+    return 100.0 * (1.0 - error / variation)
 
 
 def autocorrelation(residual: Array) -> tuple[Array, float] | None:

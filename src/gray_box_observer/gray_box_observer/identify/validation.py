@@ -25,6 +25,7 @@ from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Result
 from gray_box_observer.samples import ReplayBuffer
+from gray_box_observer.samples.spread import spread
 from gray_box_observer.white_box.interface import Array
 
 FEWEST = 10
@@ -100,8 +101,8 @@ class Score:
         if not is_usable.any():
             return cls(None, None, None)
         error = predicted_nm[is_usable] - measured_nm[is_usable]
-        spread = float(np.std(measured_nm[is_usable]))
-        nmae = float(np.mean(np.abs(error))) / spread if spread > 0.0 else None
+        spread_nm = spread(measured_nm[is_usable])
+        nmae = None if spread_nm is None else float(np.mean(np.abs(error))) / spread_nm
         return cls(float(np.sqrt(np.mean(error**2))), nmae, fit_percent(measured_nm, predicted_nm))
 
     def to_dict(self) -> dict[str, float | None]:

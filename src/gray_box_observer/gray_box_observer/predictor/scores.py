@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gray_box_observer.samples.spread import spread
 from gray_box_observer.white_box.interface import Array
 
 RIVALS = ('predictor', 'persistence', 'white_box')
@@ -71,10 +72,10 @@ class Scores:
         if count < 2:
             return Skill(count, None, None, None)
         mae = {rival: float(np.mean(error[is_scored])) for rival, error in errors.items()}
-        spread = float(np.nanstd(torque_nm))
+        spread_nm = spread(torque_nm[np.isfinite(torque_nm)])
         return Skill(
             count,
-            mae['predictor'] / spread if spread > 0.0 else None,
+            None if spread_nm is None else mae['predictor'] / spread_nm,
             1.0 - mae['predictor'] / mae['persistence'] if mae['persistence'] > 0.0 else None,
             1.0 - mae['predictor'] / mae['white_box'] if mae['white_box'] > 0.0 else None,
         )
