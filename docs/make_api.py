@@ -38,6 +38,7 @@ from api_tables import (
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
+from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.identify import command, requirement
 from gray_box_observer.identify.archive import archive_options
 from gray_box_observer.ros import running
@@ -70,6 +71,14 @@ WATCHED = {
     'and no services.',
 }
 """Of the two nodes that listen to observers."""
+
+OF_A_FIT = {
+    FitVerdict.UNTESTED: 'It is not known: samples are too few, or the voltage hardly varies.',
+    FitVerdict.OK: 'It does.',
+    FitVerdict.WARNING: 'Nearly: something small is left.',
+    FitVerdict.MISFIT: 'It does not; nothing of the motor may be believed.',
+}
+"""Whether the white box explains the data, by the verdict of the fit test."""
 
 HEAD = f"""<!-- Written by `make docs` from the code; edit the declarations, not this page. -->
 # API
@@ -138,6 +147,7 @@ def page() -> str:
     lines += override_lines(observer)
     lines += ['## identify', '', 'Package `gray_box_observer`; needs no ROS.', '']
     lines += option_lines(command._parser())
+    lines += fit_lines()
     of_recorder, of_player = (
         recorder_arguments.RECORDER_PARAMETERS,
         player_arguments.PLAYER_PARAMETERS,
@@ -164,6 +174,24 @@ def page() -> str:
     ]
     lines += ['and publishes ' + ', '.join(f'`~/{name}`' for name in OF_A_MANAGED_NODE) + '.']
     return '\n'.join(lines) + '\n'
+
+
+def fit_lines() -> list[str]:
+    """The words of a fit in the result of `identify`."""
+    lines = [
+        '### Fit',
+        '',
+        'With `--json`, `fit` of a motor says in its `verdict` whether the white box explains the '
+        'data:',
+        '',
+        *table(('verdict', ''), [[f'`{one.value}`', OF_A_FIT[one]] for one in FitVerdict]),
+    ]
+    return [
+        *lines,
+        'The `ratio` and `whiteness` of an `untested` motor are `null`. So are `fit_percent` and '
+        '`nmae` of a torque that does not vary, for both are relative to its spread.',
+        '',
+    ]
 
 
 def bag_lines(
