@@ -38,10 +38,9 @@ class Node:
         self.waiting, self.alive, self.said, self.watched = [], [], [], []
 
     def turn(self) -> None:
-        """Serve tasks and timers."""
-        waiting, self.waiting = self.waiting, []
-        for task in sorted(waiting, key=lambda task: task.__name__ == '_reopen'):
-            task()
+        """Serve tasks, and the timers that they begin."""
+        while self.waiting:
+            self.waiting.pop(0)()
 
     def subscribe(self, profile: QoSProfile | None) -> SimpleNamespace:
         """Make a subscription."""
@@ -57,7 +56,8 @@ class Node:
         return callback
 
     def destroy_timer(self, timer) -> None:
-        """It has been done."""
+        """Have it done no more."""
+        self.waiting = [callback for callback in self.waiting if callback != timer]
 
     def destroy_subscription(self, subscription) -> None:
         """End a subscription."""
@@ -149,9 +149,24 @@ def test_a_queue_can_be_emptied_though_no_message_of_it_was_ever_complete(queue,
 def test_what_is_closed_while_it_is_made_anew_stays_closed(queue, node):
     queue.empty()
     queue.close()
-    node.waiting = [task for task in node.waiting if task.__name__ == '_destroy']
     node.turn()
     assert node.alive == []
+
+
+def test_what_is_closed_between_two_readers_stays_closed(queue, node):
+    queue.empty()
+    node.waiting.pop(0)()
+    assert node.alive == []
+    queue.close()
+    assert node.waiting == [], 'no timer is left'
+
+
+def test_the_next_reader_waits_for_the_end_of_the_last_however_late_that_is(queue, node):
+    """While the last one lives, the middleware gives none of its memory back."""
+    queue.empty()
+    assert [task.__name__ for task in node.waiting] == ['_destroy']
+    node.waiting.pop(0)()
+    assert [task.__name__ for task in node.waiting] == ['_reopen']
 
 
 def test_growth_is_told_by_who_has_touched_the_memory():

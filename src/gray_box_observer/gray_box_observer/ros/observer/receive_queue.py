@@ -79,6 +79,7 @@ class ReceiveQueue:
         self._large_at_s = 0.0
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer: Timer | None = None
+        self._is_ending = False
         self._is_relaxed = False
         self._set_unchecked()
 
@@ -93,9 +94,7 @@ class ReceiveQueue:
                 self._resize(depth)
             elif time.monotonic() - self._large_at_s > CALM_S:
                 self._resize(self._full_depth)
-        if (
-            self._timer is not None
-        ):  # the end of this subscription waits behind its messages: be quick
+        if self._is_ending:  # the end of this subscription waits behind its messages: be quick
             return size_bytes <= self._usual_bytes
         return size_bytes <= self._max_message_bytes
 
@@ -114,8 +113,11 @@ class ReceiveQueue:
 
     def close(self) -> None:
         """Stop listening."""
+        is_destroyed = self._timer is not None
         self._end_timer()
-        self._node.destroy_subscription(self.subscription)
+        self._is_ending = False
+        if not is_destroyed:
+            self._node.destroy_subscription(self.subscription)
 
     def _depth_for(self, size_bytes: int) -> int:
         """Return how many messages of a size may wait: full depth, or a power of two."""
@@ -136,16 +138,19 @@ class ReceiveQueue:
 
     def _reopen_soon(self) -> None:
         executor = self._node.executor
-        if self._timer is None and executor is not None:
-            self._timer = self._node.create_timer(PAUSE_S, self._reopen, clock=self._steady)
+        if not self._is_ending and executor is not None:
+            self._is_ending = True
             executor.create_task(self._destroy)  # not within the callback that has a message of it
 
     def _destroy(self) -> None:
-        if self._timer is not None:
+        """End the subscription; the pause begins here, however late a busy executor is."""
+        if self._is_ending:
             self._node.destroy_subscription(self.subscription)
+            self._timer = self._node.create_timer(PAUSE_S, self._reopen, clock=self._steady)
 
     def _reopen(self) -> None:
         self._end_timer()
+        self._is_ending = False
         give_memory_back()
         as_configured = self._depth == self._full_depth and not self._is_relaxed
         self.subscription = self._subscribe(None if as_configured else self._by_best_effort())
