@@ -1,24 +1,36 @@
 """Floods the observer's topics: what it holds in memory, and how soon it ends on request.
 
-    python tests/faults/flood.py [--seconds 60] [--kinds large names layouts small] [--megabytes 20]
-    [--senders 2]
+    python tests/faults/flood.py [--seconds 60] [--megabytes 20] [--senders 2]
+    [--kinds large nearly names layouts small speed inputs]
 
 Needs a sourced workspace. Every kind of flood meets an observer of its own, sent as fast as the
-senders can: few large messages; lists of names that never come twice; frames and array lengths that
-never come twice; small garbage. At the end of each the observer gets SIGTERM while the flood goes
-on. Prints a table and one line of JSON; ends with 1 if a figure is not reached.
+senders can:
+
+* few large messages;
+* messages just below the size that is read, each by its frame, by its names or by its values;
+* lists of names that never come twice;
+* frames and array lengths that never come twice;
+* small garbage;
+* speeds on a topic of their own, and inputs of an expression: valid ones, ever later, among which
+  every hundredth is just below the size that is read.
+
+At the end of each the observer gets SIGTERM while the flood goes on. Prints a table and one line of
+JSON; ends with 1 if a figure is not reached.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import os
+import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
 from typing import IO, Any
 
@@ -38,6 +50,16 @@ PATIENCE_S = 60.0
 LOOK_EVERY_S = 0.02
 QUEUE = 10
 """Messages that a sender holds for a reader that is slower."""
+
+
+LIMIT_BYTES = 4_000_000
+"""Default of ``max_message_mb``."""
+
+STAMP = struct.Struct('<iI')
+"""Seconds and nanoseconds, as a serialised message has them behind its four bytes of encoding."""
+
+STEP_NS = 1_000_000
+LARGE_EVERY = 100
 
 
 def large(size: int) -> Iterator[bytes]:
@@ -74,11 +96,70 @@ def small(size: int) -> Iterator[bytes]:
         yield b'\x00\x01\x00\x00' + b'\xff' * 60
 
 
-FLOODS: dict[str, Callable[[int], Iterator[bytes]]] = {
-    'large': large,
-    'names': names,
-    'layouts': layouts,
-    'small': small,
+def nearly(size: int) -> Iterator[bytes]:
+    """Valid messages just below the size that is read, each later than the last."""
+    share = LIMIT_BYTES - 1000
+    contents = [
+        _valid(['motor'], frame_id='f' * share),
+        _valid(['motor', *(f'{k:011}' for k in range(share // 40 - 1))]),
+        encode_joint_state(0, ['motor'], velocity=[1.0], effort=[1.0] * (share // 8)),
+    ]
+    assert all(0.9 * LIMIT_BYTES < len(data) <= LIMIT_BYTES for data in contents)
+    return _ever_later(itertools.cycle(contents))
+
+
+def valid(size: int) -> Iterator[bytes]:
+    """Messages of one motor, each later than the last; some just below the size that is read."""
+    small_message, large_messages = _valid(['motor']), nearly(size)
+    return _ever_later(
+        next(large_messages) if number % LARGE_EVERY == 0 else small_message
+        for number in itertools.count(1)
+    )
+
+
+def _valid(motors: list[str], **more: str) -> bytes:
+    values = [1.0] * len(motors)
+    return encode_joint_state(0, motors, position=values, velocity=values, effort=values, **more)
+
+
+def _ever_later(messages: Iterator[bytes]) -> Iterator[bytes]:
+    for number, data in enumerate(messages):
+        sec, nanosec = divmod(number * STEP_NS, 10**9)
+        yield data[:4] + STAMP.pack(sec, nanosec) + data[4 + STAMP.size :]
+
+
+@dataclass(frozen=True)
+class Flood:
+    """What is sent, and where.
+
+    Attributes:
+        messages: makes the messages; gets the size of a large one in bytes.
+        topics: where they go, one sender after the other.
+        parameters: of the observer.
+    """
+
+    messages: Callable[[int], Iterator[bytes]]
+    topics: tuple[str, ...] = TOPICS
+    parameters: tuple[str, ...] = ()
+
+
+def _input(name: str) -> tuple[str, ...]:
+    return (f'{name}.topic:=/{name}', f'{name}.type:=sensor_msgs/msg/JointState',
+            f'{name}.field:=effort')  # fmt: skip
+
+
+FLOODS = {
+    'large': Flood(large),
+    'nearly': Flood(nearly),
+    'names': Flood(names),
+    'layouts': Flood(layouts),
+    'small': Flood(small),
+    'speed': Flood(valid, ('/motor/speed',), ('speed.topic:=/motor/speed',)),
+    'inputs': Flood(
+        valid,
+        ('/duty', '/battery'),
+        ('voltage.expression:=duty * battery', *_input('duty'), *_input('battery')),
+    ),
 }
 
 
@@ -91,7 +172,7 @@ def main() -> int:
     parser.add_argument('--kinds', nargs='+', choices=list(FLOODS), default=list(FLOODS))
     parser.add_argument('--megabytes', type=float, default=20.0, help='size of a large message')
     parser.add_argument(
-        '--senders', type=int, default=2, help='processes that send, in turn to voltage and torque'
+        '--senders', type=int, default=2, help='processes that send, in turn to the topics'
     )
     parser.add_argument(
         '--domain', type=int, default=87, help='ROS domain of everything that is started'
@@ -119,11 +200,13 @@ def flood(kind: str, options: argparse.Namespace, log: IO[str]) -> tuple[float, 
     ready, stop = context.Semaphore(0), context.Event()
     sent = context.Value('q', 0)
     size = int(options.megabytes * 1e6)
+    topics = FLOODS[kind].topics
     command = [sys.executable, '-m', OBSERVER, '--ros-args', '-p', 'predictor:=false']
+    command += itertools.chain.from_iterable(('-p', text) for text in FLOODS[kind].parameters)
     with subprocess.Popen(command, stdout=log, stderr=log, text=True) as process:
         senders = [
             context.Process(
-                target=send, args=(kind, size, TOPICS[k % len(TOPICS)], ready, stop, sent)
+                target=send, args=(kind, size, topics[k % len(topics)], ready, stop, sent)
             )
             for k in range(options.senders)
         ]
@@ -168,7 +251,7 @@ def send(kind: str, size: int, topic: str, ready: Any, stop: Any, sent: Synchron
     while not publisher.get_subscription_count() and not stop.is_set():
         time.sleep(LOOK_EVERY_S)
     ready.release()
-    for message in FLOODS[kind](size):
+    for message in FLOODS[kind].messages(size):
         if stop.is_set():
             break
         publisher.publish(message)
