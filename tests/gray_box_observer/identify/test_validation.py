@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
+from gray_box_observer.delay import DelayEstimate, DelayVerdict
+from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.identify.command import main
 from gray_box_observer.identify.validation import Score, StaticMap
+from gray_box_observer.observer.motor_view import MotorView
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -100,6 +103,29 @@ def test_a_motor_that_has_changed_in_between_is_a_misfit_there(
     assert motor['fit']['verdict'] == 'ok'
     assert motor['validation']['fit']['verdict'] == 'misfit'
     assert motor['validation']['fit_percent'] < 90.0
+
+
+def test_the_judged_bag_is_tested_by_its_own_delay_and_the_quantity_of_torque(
+    identify: Run, bag_of: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train, other, params = bag_of('train'), bag_of('other', seed=2), tmp_path / 'p.yaml'
+    params.write_text('/**: {ros__parameters: {torque.quantity: current}}')
+    late = DelayEstimate(0.0, False, 0.02, 1e-4, DelayVerdict.UNDECLARED)
+    monkeypatch.setattr(MotorView, 'delay', property(lambda motor: late))
+    quantities = []
+    make = FitMonitor.__init__
+
+    def watched(self: FitMonitor, motors: Any, boxes: Any, quantity: str = 'torque') -> None:
+        quantities.append(quantity)
+        make(self, motors, boxes, quantity)
+
+    monkeypatch.setattr(FitMonitor, '__init__', watched)
+    options = ('--params', params, '--skip-predictor', '--json', '-')
+    code, out, said = identify(train, '--validate', other, *options)
+    assert code == 0, said
+    judged = json.loads(out)['motors']['motor']['validation']['fit']
+    assert 'delay' not in [suspect['effect'] for suspect in judged['suspects']]
+    assert set(quantities) == {'current'}
 
 
 def _only_error(said: str) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 
 from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.context_nodes import ContextUpdate
+from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import BagError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.monitor import FitMonitor
@@ -259,6 +260,8 @@ def _fit(outcome: offline_run.Outcome, name: str, rows: Sequence[Sequence[float]
     content = np.nan_to_num(np.array(rows).T[:4, None, :])
     replay = ReplayBuffer(1, content.shape[2])
     replay.refill(content)
-    monitor = FitMonitor([outcome.observer.configuration.motors[name]], [motor.white_box])
-    monitor.test(cast(ContextUpdate, _Heard(replay)), motor.estimate, 0, motor.delay)
+    quantity = outcome.observer.configuration['torque.quantity']
+    monitor = FitMonitor([motor.configuration], [motor.white_box], quantity)
+    delay = DelayEstimate(motor.delay.applied_s, motor.delay.is_estimated)  # not that of training
+    monitor.test(cast(ContextUpdate, _Heard(replay)), motor.estimate, 0, delay)
     return monitor.assessment(0)
