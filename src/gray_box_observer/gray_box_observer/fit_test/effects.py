@@ -29,6 +29,9 @@ LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0, 8.0))
 WAVES = 8
 """Half waves of cosine over the stretch that make a voltage which wanders."""
 
+LATE = ('delay', 'current_lag')
+"""Effects that the balance, summed over some samples, hardly tells apart: the free run does."""
+
 LATER = (0.0, 1.5)
 """Amounts of a delay or a lag: voltage that acts before it is stamped is none."""
 
@@ -86,6 +89,8 @@ class Effect:
         without_speed: whether it can only be where speed is not measured.
         credible: lowest and highest amount of all its shapes together that such an effect can have.
         hides_resistance: whether the resistance may come out as anything beside it.
+        largest_share: largest amount, over the root mean square of the voltage, that such an effect
+            can have.
     """
 
     name: str
@@ -95,6 +100,7 @@ class Effect:
     without_speed: bool = False
     credible: tuple[float, float] = (-math.inf, math.inf)
     hides_resistance: bool = False
+    largest_share: float = math.inf
 
 
 def interval_means(signal: Array) -> Array:
@@ -123,6 +129,8 @@ def _rotor(scene: Scene) -> Iterator[Shapes]:
     means = leaky_mean(scene.current_a, times)
     for place in range(0, len(times), 2):
         yield -means[place], -means[place + 1]
+        if scene.fine:  # a load on the shaft
+            yield -means[place], -means[place + 1], -np.ones_like(scene.voltage_v)
 
 
 def _current_offset(scene: Scene) -> Iterator[Shapes]:
@@ -176,7 +184,7 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
             yield (_delayed(speed, samples) - speed,)
 
 
-COLOURED_NOISE, CHANGE = 'coloured_noise', 'change'
+COLOURED_NOISE, CHANGE, LOAD = 'coloured_noise', 'change', 'load'
 
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
@@ -205,6 +213,8 @@ EFFECTS: dict[str, Effect] = {
             _dead_zone,
             'publish the voltage at the terminals instead of the command: the driver takes off '
             '{amount:.3g} V',
+            credible=(0.0, math.inf),
+            largest_share=0.5,
         ),
         Effect(
             'sag',
@@ -245,6 +255,9 @@ EFFECTS: dict[str, Effect] = {
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
     'noise has a memory',
+    LOAD: "publish the speed in motor/torque's velocity: a load that varies is followed then; or "
+    'add load_torque to {motor}.context_nodes for one that does not vary: more acts on the shaft '
+    'than inertia and friction, or the current has an offset',
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
 

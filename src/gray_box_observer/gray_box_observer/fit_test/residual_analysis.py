@@ -8,7 +8,7 @@ correlated residuals cannot fool (Newey and West 1987).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
+from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import swap_shifts
@@ -25,6 +25,7 @@ from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 LAGS = 20
 """Autocorrelations that the Ljung-Box statistic takes in."""
@@ -37,6 +38,10 @@ LIKELY = 10.0
 
 COLOURED = 3.0
 """Whiteness from which correlated residuals are taken into the covariance of the parameters."""
+
+COLOURED_ROTOR = 25.0
+"""Whiteness from which a rotor's delays and lags are asked for in every shape that they have: its
+fit leaves out, as outliers, the samples behind a step that would show them."""
 
 DISTINCT = 1e-6
 """Share of an effect's response that must not be explained by the parameters: of less nothing can
@@ -57,6 +62,9 @@ SCATTERED = 2.0
 """Times the other residuals, by their medians, that these must be: in white noise they reach 1.6.
 """
 
+PERSISTENT_LAG = 1.0 / 3.0
+"""Mechanical time constants after which a load on the shaft still shows in the current."""
+
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
 
@@ -69,11 +77,14 @@ class EffectScore:
         effect: which.
         score: chi-square of one degree of freedom a shape.
         shift: shape (parameter,): by how much the logarithms of the parameters would move with it.
+        amounts: shape (shape,): how much there is of each of its shapes, in the unit of the shape's
+            coefficient.
     """
 
     effect: Effect
     score: float
     shift: Array
+    amounts: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +111,8 @@ class ResidualAnalysis:
             before.
         swap_shifts: shape (twin, parameter): by how much the logarithms of the parameters would
             move with each effect that looks like one of the white box.
+        persistence: share of the next sample's autocorrelation that is left a part of a mechanical
+            time constant later; 0 without a rotor.
     """
 
     samples: int
@@ -114,6 +127,7 @@ class ResidualAnalysis:
     jitter: float
     moving_noise_a: float
     swap_shifts: Array
+    persistence: float
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
@@ -170,6 +184,7 @@ def analyse(
         residual = projection.remainder
     size_a = math.sqrt(float(residual @ residual) / residual.size)
     whiteness = ljung_box(residual) if size_a > least_a else 1.0
+    is_coloured = white_box.has_rotor and whiteness > COLOURED_ROTOR
     robust = projection.robust_std() if whiteness > COLOURED else np.full(p.shape[1], np.nan)
     noise_a = max(size_a, floor_a)
     delay_shift, delay_std = _delay_effect(run, projection, weight, noise_a)
@@ -178,7 +193,14 @@ def analyse(
         floor_a=floor_a,
         ratio=size_a / floor_a,
         whiteness=whiteness,
-        scores=_scores(run, projection, scene_of(white_box, run), weight, least_a),
+        scores=_scores(
+            run,
+            projection,
+            scene_of(white_box, run),
+            weight,
+            least_a,
+            projection.without(run.residual_a * weight) if is_coloured else None,
+        ),
         robust_std=robust,
         delay_shift=delay_shift,
         delay_std=delay_std,
@@ -186,6 +208,7 @@ def analyse(
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         swap_shifts=swap_shifts(white_box, run, to_parameters(p)[0], noise_a),
+        persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
     )
 
 
@@ -237,6 +260,35 @@ def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
     if 'resistance' not in names or interval_s.size == 0:
         return math.inf
     return 1.0 / (float(p[0, names.index('resistance')]) * float(median(interval_s)))
+
+
+def _mechanical_intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
+    """Return the sample intervals in a mechanical time constant ``R J / (Kb Kt)``."""
+    if not white_box.has_rotor:
+        return math.nan
+    assert isinstance(white_box, MotorWhiteBox)
+    values = white_box.values(to_parameters(p)[0])
+    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
+    if interval_s.size == 0:
+        return math.nan
+    stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
+    time_s = values['resistance'] * values['inertia'] / stiffness
+    return time_s / float(median(interval_s))
+
+
+def _persistence(residual: Array, intervals: float) -> float:
+    """Return how much of the residual's correlation lasts as long as a rotor's speed does.
+
+    Args:
+        residual: shape (sample,).
+        intervals: sample intervals in a mechanical time constant; NaN without a rotor.
+    """
+    if not PERSISTENT_LAG * intervals < residual.size:
+        return 0.0
+    later = max(2, round(PERSISTENT_LAG * intervals))
+    deviation = residual - residual.mean()
+    soon = float(deviation[1:] @ deviation[:-1])
+    return float(deviation[later:] @ deviation[:-later]) / soon if soon > 0.0 else 0.0
 
 
 def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
@@ -318,13 +370,33 @@ def long_run_covariance(terms: Array) -> Array:
 
 
 def _scores(
-    run: FreeRun, projection: _Projection, scene: Scene, weight: Array, least_a: float
+    run: FreeRun,
+    projection: _Projection,
+    scene: Scene,
+    weight: Array,
+    least_a: float,
+    late_remainder: Array | None,
 ) -> tuple[EffectScore, ...]:
-    """Test every effect but those that white residuals rule out at ``least_a`` or more."""
+    """Test every effect but those that white residuals rule out at ``least_a`` or more.
+
+    Args:
+        run: the free run.
+        projection: of its residual on the parameters.
+        scene: what the effects are made of.
+        weight: shape (sample,): of the samples.
+        least_a: noise in A that is there at least.
+        late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
+            for delays and lags in all their shapes; None: these are tested like all others.
+    """
+    fine = replace(scene, fine=True)
     candidates = [
         (effect, shapes)
         for effect, alternatives in possible_effects(scene)
-        for shapes in alternatives
+        for shapes in (
+            alternatives
+            if late_remainder is None or effect.name not in LATE
+            else effect.alternatives(fine)
+        )
     ]
     voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
     response = run.response(voltages)
@@ -332,18 +404,20 @@ def _scores(
     distinct = projection.without(response)
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
-    remainder = projection.remainder
-    products = distinct @ remainder
-    power = float(remainder @ remainder)
+    usual = projection.remainder
+    late = usual if late_remainder is None else late_remainder
     best: dict[str, EffectScore] = {}
     first = 0
     for effect, shapes in candidates:
         columns = np.arange(first, first + len(shapes))
         first += len(shapes)
-        columns = columns[own[columns]]
+        is_own = own[columns]
+        columns = columns[is_own]
         if columns.size == 0:
             continue
-        own_gram, own_products = gram[np.ix_(columns, columns)], products[columns]
+        remainder = late if effect.name in LATE else usual
+        power = float(remainder @ remainder)
+        own_gram, own_products = gram[np.ix_(columns, columns)], distinct[columns] @ remainder
         amount = _least_squares(own_gram, own_products)
         explained_power = float(own_products @ amount)
         rest_power = power - 2.0 * explained_power + float(amount @ own_gram @ amount)
@@ -353,7 +427,9 @@ def _scores(
         score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
         if effect.name not in best or score > best[effect.name].score:
             shift = -projection.shift(amount @ response[columns])
-            best[effect.name] = EffectScore(effect, score, shift)
+            amounts = np.zeros(len(shapes))
+            amounts[is_own] = amount
+            best[effect.name] = EffectScore(effect, score, shift, amounts)
     return tuple(sorted(best.values(), key=lambda entry: -entry.score))
 
 

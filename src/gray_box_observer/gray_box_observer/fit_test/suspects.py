@@ -18,12 +18,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.effects import (
+    LATE,
     Effect,
     Scene,
     Shapes,
     interval_means,
     possible_effects,
 )
+from gray_box_observer.fit_test.residual_analysis import EffectScore
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -41,9 +43,6 @@ CLEAR = 5.0
 ALIKE = ('current_offset', 'lost_voltage', 'dead_zone')
 """What cannot be told apart while current and voltage keep their signs."""
 
-LATE = ('delay', 'current_lag')
-"""What the balance, summed over some samples, hardly tells apart: the free run does."""
-
 TIED = 2.0
 """Log-likelihood by which explanations must differ to be told apart."""
 
@@ -58,6 +57,7 @@ class Explanation:
         amount: how much of its first shape there is, in the unit of the shape's coefficient.
         total: how much of all its shapes together.
         resistance: R in ohm beside it, or as it is given; NaN where it is not.
+        share: ``total`` over the root mean square of the voltage.
     """
 
     effect: Effect
@@ -65,14 +65,14 @@ class Explanation:
     amount: float
     total: float
     resistance: float
+    share: float = 0.0
 
     @property
     def is_credible(self) -> bool:
         """Whether such an effect can be as large as that, beside this resistance."""
         lowest, highest = self.effect.credible
-        return lowest <= self.total <= highest and (
-            self.resistance > 0.0 or self.effect.hides_resistance
-        )
+        can_be = lowest <= self.total <= highest and self.share <= self.effect.largest_share
+        return can_be and (self.resistance > 0.0 or self.effect.hides_resistance)
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -109,6 +109,7 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
     base_rest, _ = _fit(regressors, target)
     if not math.isfinite(base_rest):
         return {}
+    voltage_v = root_mean_square(stretch.voltage_v)
     given_ohm = float(white_box.known.get('resistance', math.nan))
     best: dict[str, Explanation] = {}
     first = len(names) + 1
@@ -124,10 +125,51 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
             float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
         )
         own = weights[len(names) :]
-        explanation = Explanation(effect, evidence, float(own[0]), float(own.sum()), resistance)
+        total = float(own.sum())
+        explanation = Explanation(
+            effect, evidence, float(own[0]), total, resistance, abs(total) / voltage_v
+        )
         if effect.name not in best or explanation.rank > best[effect.name].rank:
             best[effect.name] = explanation
     return best
+
+
+def root_mean_square(voltage_v: Array) -> float:
+    """Return the root mean square of a voltage, which is never nothing."""
+    return float(np.sqrt(np.mean(voltage_v**2))) + 1e-300
+
+
+def scored_explanations(
+    white_box: MotorWhiteBox, theta: Array, scores: Iterable[EffectScore], voltage_v: float
+) -> dict[str, Explanation]:
+    """Return what score tests of a free run say of every effect, by its name.
+
+    The voltage balance of a rotor has a speed that nobody measures: only the free run tells.
+
+    Args:
+        white_box: of one motor.
+        theta: shape (parameter,): values of the free run.
+        scores: of its effects.
+        voltage_v: root mean square of the voltage.
+    """
+    names = [parameter.name for parameter in white_box.parameters]
+    explanations_by_name = {}
+    for score in scores:
+        resistance = float(white_box.known.get('resistance', math.nan))
+        if 'resistance' in names:
+            place = names.index('resistance')
+            resistance = float(theta[place]) * math.exp(min(float(score.shift[place]), 1.0))
+        highest = score.effect.credible[1]
+        total = min(float(score.amounts.sum()), highest)  # one step from wrong values goes too far
+        explanations_by_name[score.effect.name] = Explanation(
+            score.effect,
+            0.5 * score.score,
+            float(score.amounts[0]),
+            total,
+            resistance,
+            abs(total) / voltage_v,
+        )
+    return explanations_by_name
 
 
 def select_explanations(

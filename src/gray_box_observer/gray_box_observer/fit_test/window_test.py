@@ -20,7 +20,7 @@ from gray_box_observer.fit_test.data_doubts import (
     may_be_duty,
 )
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
-from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, REMEDIES
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, LOAD, REMEDIES
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
 from gray_box_observer.fit_test.policy import (
@@ -40,6 +40,8 @@ from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import (
     Explanation,
     explanations,
+    root_mean_square,
+    scored_explanations,
     select_explanations,
     with_delay,
 )
@@ -68,6 +70,11 @@ FEWEST_WITH_SPEED = 32
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
 small residual; else the free run is asked."""
+
+
+PERSISTENT = 0.8
+"""Share of a residual's correlation, a third of a mechanical time constant later, from which it is
+that of a load: 0.85 and more of loads, up to 0.79 of all else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +259,10 @@ class WindowTest:
         analysis, judgement, before = finding.analysis, finding.judgement, motor.before
         samples, suspects = motor.newest(count)[:, 0], finding.suspects
         if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
+            has_rotor = self.white_box.has_rotor
             candidates = (
                 {}  # its balance has a speed that nobody measures
-                if self.white_box.has_rotor
+                if has_rotor
                 else explanations(
                     self.white_box, SampleWindow.of_content(self.white_box, motor.content())
                 )
@@ -263,6 +271,10 @@ class WindowTest:
             is_warned = judgement.verdict is FitVerdict.WARNING
             if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+            if has_rotor:
+                theta = motor.estimate.value[0]
+                voltage_v = root_mean_square(samples[VOLTAGE])
+                candidates = scored_explanations(self.white_box, theta, analysis.scores, voltage_v)
             if judgement.verdict is not FitVerdict.OK:
                 current_a = np.asarray(self.white_box.state(samples[TORQUE]), dtype=float)
                 stamp_suspects = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
@@ -343,7 +355,7 @@ class WindowTest:
         is_coloured = analysis.whiteness > WHITENESS_DOUBT and analysis.ratio < RATIO_MISFIT
         best_score = max(scores.values(), default=0.0)
         if is_coloured and clearest < CLEARLY and best_score < 0.5 * SCORE_DOUBT:
-            return [Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])]
+            return [self._of_colour(analysis)]
         mild = analysis.ratio < MILD and clearest < VERY_CLEARLY
         if scores and (clearest < CLEARLY or mild):
             candidates = {
@@ -352,10 +364,24 @@ class WindowTest:
                 if effect in candidates
             }
         torque_constant = float(self.white_box.torque_constant)
-        return [
-            one.suspect(self.configuration.name, torque_constant)
+        suspects = [
+            self._of_load(one.evidence)
+            if self.white_box.has_rotor and one.effect.name == 'current_offset'
+            else one.suspect(self.configuration.name, torque_constant)
             for one in select_explanations(candidates.values(), scores)
         ]
+        is_of_load = analysis.whiteness > WHITENESS_DOUBT and analysis.persistence > PERSISTENT
+        return suspects if suspects or not is_of_load else [self._of_colour(analysis)]
+
+    def _of_colour(self, analysis: ResidualAnalysis) -> Suspect:
+        """Name what leaves a residual of one colour: a load on the shaft lasts as a speed does."""
+        if analysis.persistence > PERSISTENT:
+            return self._of_load(analysis.whiteness)
+        return Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])
+
+    def _of_load(self, evidence: float) -> Suspect:
+        """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
+        return Suspect(LOAD, evidence, REMEDIES[LOAD].format(motor=self.configuration.name))
 
 
 def _clearest(candidates: Mapping[str, Explanation]) -> float:

@@ -250,7 +250,7 @@ class FormChoice:
     def _with_rotor(self, plain: FormKind) -> list[FormKind]:
         """Return a rotor, and one whose driver loses voltage where that alone has failed before.
 
-        The misfits of a rotor that nobody measures name no effects.
+        What a speed of Kt i suspects beside a rotor tells little of the rotor.
         """
         if plain.source != ROTOR or not self._trials:
             return [plain]
