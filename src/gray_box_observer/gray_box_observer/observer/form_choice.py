@@ -235,7 +235,8 @@ class FormChoice:
         """Return the forms to try, that of the likeliest suspect first."""
         kinds: list[FormKind] = []
         plain = self.kind.with_other_source
-        for suspect in fit.suspects:
+        suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
+        for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)
             if node is not None and node not in self.kind.effects:
                 instead = self.kind.without(TWINS[node]).with_effect(node)
