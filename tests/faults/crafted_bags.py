@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import struct
 from collections.abc import Callable, Iterable, Iterator
@@ -13,7 +12,6 @@ from typing import NamedTuple
 import lz4.frame
 import zstandard
 
-from gray_box_observer.bag.embedded_parameters import MOST_MOTORS, to_custom_data
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 
@@ -357,48 +355,6 @@ def torque_without_voltage(path: Path) -> None:
     write(path, declarations(), samples(), packed_chunk(padded(blocks, 1, 30_000)))
 
 
-def many_motors(path: Path) -> None:
-    """A folder whose bag names all the motors it may, and tells voltages ten times as often."""
-    path.mkdir()
-    names = [f'm{k}' for k in range(MOST_MOTORS)]
-    generator = random.Random(1)
-    volts, step_ns, torque_every = 5.0, 10**6, 10
-    blocks = []
-    for k in range(17_000):
-        stamp_ns = START_NS + k * step_ns
-        if k % 200 == 0:
-            volts = generator.uniform(5.0, 15.0)
-        said = [(1, volts)]
-        if k % torque_every == 0:
-            said.append((2, volts / 10 + 1e-3 * generator.randrange(-2, 3)))
-        blocks += [
-            message(
-                number, encode_joint_state(stamp_ns, names, effort=[value] * len(names)), stamp_ns
-            )
-            for number, value in said
-        ]
-    count = 4000
-    chunks = [
-        chunk(
-            *packed(padded([b''.join(blocks[start : start + count])], start, 40_000), 'zstd'),
-            'zstd',
-            (START_NS, START_NS + len(blocks) * step_ns),
-        )
-        for start in range(0, len(blocks), count)
-    ]
-    write(path / 'many_0.mcap', declarations(), *chunks)
-    information = {
-        'version': 9,
-        'storage_identifier': 'mcap',
-        'relative_file_paths': ['many_0.mcap'],
-        'compression_mode': '',
-        'compression_format': '',
-        'custom_data': to_custom_data({'motors': names}),
-    }
-    metadata = {'rosbag2_bagfile_information': information}
-    (path / 'metadata.yaml').write_text(json.dumps(metadata), encoding='utf-8')
-
-
 def other_type(definition: str, data: bytes) -> Craft:
     """Both signals of a type of the bag's own."""
 
@@ -486,6 +442,5 @@ CRAFTS: dict[str, Craft] = {
         a_million_motors,
         values_without_end,
         torque_without_voltage,
-        many_motors,
     )
 } | {name: other_type(*definition) for name, definition in DEFINITIONS.items()}

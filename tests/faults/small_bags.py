@@ -1,11 +1,11 @@
 """Peak memory of ``identify`` and readers on bags of a megabyte made to take much more.
 
-    python tests/faults/small_bags.py [--only NAME ...] [--doors DOOR ...]
+    python tests/faults/small_bags.py [--only NAME ...]
 
 Every bag of `crafted_bags` is read by a process of its own through two doors: ``identify``, and
-every message of every topic, as the player reads. A third, ``--doors report``, is ``identify`` with
-a report. Prints peak memory and processor time of each and one line of JSON. Ends with 1 where one
-took more than may be, or ended otherwise than in a result or in one clear line.
+every message of every topic, as the player reads. Prints peak memory and processor time of each and
+one line of JSON. Ends with 1 where one took more than may be, or ended otherwise than in a result
+or in one clear line.
 """
 
 from __future__ import annotations
@@ -33,18 +33,14 @@ def peak():
         peak_kb = int(re.search(r'VmHWM:\\s+(\\d+) kB', status)[1])
         print(peak_kb * 1.024e-3, time.process_time(), file=stream)
 """
-IDENTIFIED = (
-    MEASURED
+DOORS = {
+    'identify': MEASURED
     + """
 from gray_box_observer.identify.command import main
-code = main(['identify', path, '--skip-predictor', '--json', '-', *{}])
+code = main(['identify', path, '--skip-predictor', '--json', '-'])
 peak()
 sys.exit(code)
-"""
-)
-DOORS = {
-    'identify': IDENTIFIED.format([]),
-    'report': IDENTIFIED.format("['--report', target + '.html']"),
+""",
     'every message': MEASURED
     + """
 from gray_box_observer.bag.reader import BagReader
@@ -101,25 +97,16 @@ def main() -> int:
     parser.add_argument(
         '--only', nargs='+', choices=sorted(CRAFTS), metavar='NAME', help='these alone'
     )
-    parser.add_argument(
-        '--doors',
-        nargs='+',
-        choices=DOORS,
-        default=['identify', 'every message'],
-        metavar='DOOR',
-        help='these alone',
-    )
     parser.add_argument('--show', action='store_true', help='what each said too')
     options = parser.parse_args()
-    worst = dict.fromkeys(options.doors, 0.0)
+    worst = dict.fromkeys(DOORS, 0.0)
     longest_s, wrong = 0.0, 0
     with tempfile.TemporaryDirectory() as folder:
         for name in options.only or CRAFTS:
             path = Path(folder) / f'{name}.mcap'
             CRAFTS[name](path)
-            files = list(path.iterdir()) if path.is_dir() else [path]
-            size = sum(file.stat().st_blocks * 512 for file in files)
-            for door in options.doors:
+            size = path.stat().st_blocks * 512
+            for door in DOORS:
                 ending = read(path, door)
                 worst[door] = max(worst[door], ending.peak_mb)
                 longest_s = max(longest_s, ending.cpu_s)
@@ -130,8 +117,7 @@ def main() -> int:
                 )
                 if ending.complaint or options.show:
                     print(f'    {ending.complaint or ending.said.strip()[:600]}', file=sys.stderr)
-            for file in files:
-                file.unlink()
+            path.unlink()
     figures = [
         *(Figure(f'peak memory, {door} (MB)', peak, GOAL_MB) for door, peak in worst.items()),
         Figure('bags that ended otherwise than they may', wrong, 0),

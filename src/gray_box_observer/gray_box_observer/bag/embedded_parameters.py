@@ -8,19 +8,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gray_box_observer.bag.metadata import Listing, list_files
+from gray_box_observer.bag.metadata import list_files
 from gray_box_observer.errors import BagError, brief
 
 _KEY = 'gray_box_observer.parameters'
 
 _RANGE = re.compile(r'\[\d+\.\.\d+\]')
 
-MOST_MOTORS = 100
-"""That a small bag may name: each takes half a megabyte of `identify`, with a report more than
-two."""
-BYTES_PER_MOTOR = 10_000
-"""Of a larger bag on the disk, one more motor for so many; a motor's log comes to that in 50
-rows."""
+MOST_MOTORS = 10_000
+"""That a bag may name."""
 
 
 def to_custom_data(parameters: Mapping[str, Any]) -> dict[str, str]:
@@ -51,35 +47,18 @@ def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
 
 
 def _parameters_of(bag: Path) -> dict[str, Any]:
-    listing = list_files(bag)
-    text = listing.custom_data.get(_KEY, '{}')
+    text = list_files(bag).custom_data.get(_KEY, '{}')
     try:
         parameters = json.loads(text)
     except (ValueError, RecursionError):
         parameters = None
     if not isinstance(parameters, dict) or not _is_list_of_names(parameters.get('motors', [])):
         raise BagError(f'{bag}: {_KEY} in its metadata cannot be understood; remove it there')
-    motor_count = len(parameters.get('motors', []))
-    if motor_count > MOST_MOTORS:
-        most_motors = max(MOST_MOTORS, _disk_bytes(listing) // BYTES_PER_MOTOR)
-        if motor_count > most_motors:
-            raise BagError(
-                f'{bag}: {_KEY} in its metadata names {motor_count} motors, expected at most '
-                f'{most_motors} in a bag of its size; remove it there and name them with --params'
-            )
     return parameters
-
-
-def _disk_bytes(listing: Listing) -> int:
-    """Bytes that a bag's files take on the disk; a file with holes is longer."""
-    try:
-        return sum(file.path.stat().st_blocks * 512 for file in listing.files)
-    except OSError as error:
-        raise BagError(f'a file of the bag cannot be read: {error}') from None
 
 
 def _is_list_of_names(value: object) -> bool:
     """Whether a value lists motors one by one: a range in a few bytes could mean 10,000."""
-    return isinstance(value, list) and all(
-        isinstance(entry, str) and not _RANGE.search(entry) for entry in value
-    )
+    if not isinstance(value, list) or len(value) > MOST_MOTORS:
+        return False
+    return all(isinstance(entry, str) and not _RANGE.search(entry) for entry in value)
