@@ -180,33 +180,6 @@ def test_growth_is_told_by_who_has_touched_the_memory():
     assert memory.grown_bytes() > 60e6, 'of another thread'
 
 
-def grown_by_another_thread(memory: ReceiveMemory) -> int:
-    """Return what is told once another thread has touched 80 MB, which it goes on to hold."""
-    kept = []
-    other = threading.Thread(target=lambda: kept.append(touched_memory()))
-    other.start()
-    other.join()
-    return memory.grown_bytes()
-
-
-def test_what_taking_large_messages_needs_for_a_moment_hides_no_growth():
-    memory = ReceiveMemory()
-    for _ in range(8):
-        touched_memory().close()
-        memory.leave_out(40_000_000)
-    assert memory.grown_bytes() < 20e6
-    assert grown_by_another_thread(memory) > 60e6
-
-
-def test_growth_is_counted_from_where_memory_was_given_back():
-    ours = touched_memory()
-    memory = ReceiveMemory()
-    memory.settle()
-    ours.close()
-    memory.settle()
-    assert grown_by_another_thread(memory) > 60e6
-
-
 def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatch):
     kept, written, go_on = [], threading.Event(), threading.Event()
 

@@ -22,21 +22,12 @@ MINOR_FAULTS = 7
 """Place of the pages that a thread has touched first, in its ``stat`` behind the name; see proc(5).
 """
 
-LARGE_BYTES = 1 << 18
-"""A message that is smaller is taken into memory that was there before."""
-
-COPIES = 2
-"""Of a message that is taken: the middleware's for this thread, and that of Python."""
-
-PAGE_BYTES = os.sysconf('SC_PAGE_SIZE') if hasattr(os, 'sysconf') else 4096
-
 
 class ReceiveMemory:
     """Tells growth that the middleware has caused from growth that this thread has.
 
     Whoever first touches a page of memory takes a fault. This thread learns, some write files; the
-    others receive. The share of their faults is their share of what the process has grown by. A
-    large message that this thread takes is given back at once, and its faults tell of no growth.
+    others receive. The share of their faults is their share of what the process has grown by.
 
     Args:
         writers: returns the numbers of threads that are not the middleware's either, as they are
@@ -46,36 +37,23 @@ class ReceiveMemory:
     def __init__(self, writers: Callable[[], Iterable[int]] = tuple) -> None:
         self._writers = writers
         self._page_counts: dict[int, int] = {}
-        self._passing_pages = 0
         self.mark()
 
     def mark(self) -> None:
         """Count from here on."""
         self._resident_bytes = _resident_bytes()
-        self._passing_pages = 0
         self._own_faults, self._all_faults = self._faults()
-
-    def settle(self) -> None:
-        """Count from here on if the process holds less now; memory has been given back."""
-        if _resident_bytes() < self._resident_bytes:
-            self.mark()
-
-    def leave_out(self, size_bytes: int) -> None:
-        """Leave out the memory that this thread has needed to take one message."""
-        if size_bytes >= LARGE_BYTES:
-            self._passing_pages += COPIES * size_bytes // PAGE_BYTES
 
     def grown_bytes(self) -> int:
         """Return what other threads have made the process grow by; 0 where that cannot be told."""
         growth = _resident_bytes() - self._resident_bytes
         own, total = self._faults()
-        passing_count = min(self._passing_pages, own - self._own_faults)
-        faults = total - self._all_faults - passing_count
+        faults = total - self._all_faults
         if growth < 0:
             self.mark()
         if growth <= 0 or faults <= 0:
             return 0
-        return round(growth * max(0.0, 1.0 - (own - self._own_faults - passing_count) / faults))
+        return round(growth * max(0.0, 1.0 - (own - self._own_faults) / faults))
 
     def _faults(self) -> tuple[int, int]:
         """Return the pages first touched by this thread and the writers, and by all threads."""
@@ -100,7 +78,7 @@ def give_memory_back() -> None:
 def _resident_bytes() -> int:
     """Return how much memory the process holds; 0 where nobody tells."""
     try:
-        return int(STATM.read_bytes().split()[1]) * PAGE_BYTES
+        return int(STATM.read_bytes().split()[1]) * os.sysconf('SC_PAGE_SIZE')
     except (OSError, IndexError, ValueError):
         return 0
 

@@ -181,7 +181,6 @@ class Inputs:
 
     def _subscribe(self, feed: Feed, qos: QoSProfile | None) -> Subscription:
         """Subscribe with a quality of service; None: the configured one."""
-        self._memory.settle()  # now, for a flood fills the new reader before the next look
         name = feed.group
         receive = self._receive if self._has_header(name) else self._receive_bare
         callback = partial(receive, feed, self._decoder(feed))
@@ -238,11 +237,9 @@ class Inputs:
         queue = self._queues.get(feed.group)
         if queue is None:  # it waited while listening ended
             return None
-        if len(data) > queue.unchecked_bytes:
-            self._memory.leave_out(len(data))
-            if not queue.admit(len(data)):
-                self._refuse_all(feed, Rejection.OVERSIZED)
-                return None
+        if len(data) > queue.unchecked_bytes and not queue.admit(len(data)):
+            self._refuse_all(feed, Rejection.OVERSIZED)
+            return None
         try:
             return decode(data)
         except SampleError:
