@@ -18,7 +18,6 @@ from gray_box_observer.fit_test.assumptions import (
 )
 from gray_box_observer.identify.offline_run import run
 from gray_box_observer.observer.motor_view import MOST_JUDGED
-from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
@@ -148,25 +147,13 @@ def test_sizes_that_a_motor_may_have_or_whose_resistance_is_stated_are_no_matter
     assert of_sizes(volts, torque_nm, **given) == ''
 
 
-def test_a_rest_in_the_end_hides_no_size_that_was_there_before() -> None:
-    observer = Observer(Configuration.from_flat({'predictor': False}))
-    for k in range(3200):
-        size = 0.0 if k >= 2000 else 24.0 if k % 80 < 40 else -24.0
-        observer.voltage('motor', k * 10_000_000, size)
-        observer.torque('motor', k * 10_000_000, size)
-    motor = observer.motors['motor']
-    assert not motor.newest(MOST_JUDGED)[1:3].any(), 'the newest samples tell nothing'
-    assert '2.4e+03 A' in motor.assumptions[TORQUE_IN_NM]
-    assert motor.spread(MOST_JUDGED).shape[1] <= MOST_JUDGED
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['drift', 'moderate', 'training_set'])
 @pytest.mark.parametrize('params', [{}, {'motor.torque_constant': 0.01}])
 def test_no_size_is_doubted_in_the_bags_that_are_shipped(name: str, params: dict[str, Any]) -> None:
     outcome = run([BAGS / name], Configuration.from_flat({'predictor': False, **params}), None)
     (motor,) = outcome.observer.motors.values()
-    assert MOST_JUDGED // 2 < motor.spread(MOST_JUDGED).shape[1] <= MOST_JUDGED
+    assert motor.newest(MOST_JUDGED).shape == (4, MOST_JUDGED)
     assert not {TORQUE_IN_NM, CURRENT_IN_A} & motor.assumptions.keys()
 
 

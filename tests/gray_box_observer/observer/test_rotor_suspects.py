@@ -46,7 +46,7 @@ def _losing(record: Recording) -> Recording:
 @pytest.mark.parametrize(
     ('spoilt', 'expected'),
     [
-        (_late, ('delay', 'current_lag')),
+        (_late, ('delay',)),
         (_lagging, ('current_lag', 'delay')),
         (_losing, ('lost_voltage', 'dead_zone')),
     ],
@@ -91,6 +91,39 @@ def test_a_delay_whose_samples_look_like_outliers_is_no_warning(seed: int) -> No
     fit = observer.motors['motor'].fit
     assert fit.verdict is FitVerdict.MISFIT
     assert fit.suspects[0].effect in LATE
+
+
+@pytest.mark.slow
+def test_spikes_hide_no_delay() -> None:
+    record = _late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1))
+    rng, torque_nm = np.random.default_rng(5), record.torque_nm.copy()
+    places = rng.choice(torque_nm.shape[1], 20, replace=False)
+    torque_nm[0, places] += rng.choice([-2.0, 2.0], 20)
+    fit = _fit_of(replace(record, torque_nm=torque_nm), **ROTOR)
+    assert fit.verdict is FitVerdict.MISFIT
+    assert fit.suspects[0].effect in LATE
+
+
+@pytest.mark.slow
+def test_at_a_low_rate_noise_with_a_memory_is_no_load() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 30.0, 3, 100.0)
+    rng, noise = np.random.default_rng(4), np.zeros(record.torque_nm.shape[1])
+    for k, push in enumerate(rng.normal(0.0, 4e-4, noise.size - 1)):
+        noise[k + 1] = 0.9 * noise[k] + push
+    fit = _fit_of(replace(record, torque_nm=record.torque_nm + noise), **ROTOR)
+    assert 'load' not in [suspect.effect for suspect in fit.suspects]
+
+
+@pytest.mark.slow
+def test_a_remedy_of_a_rotor_is_one_that_its_configuration_takes() -> None:
+    late = _fit_of(_late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1)), **ROTOR)
+    assert 'motor.delay: estimate' not in late.suspects[0].remedy
+    Configuration.from_flat({**CONSTANTS, **ROTOR, 'motor.delay': 0.003})
+    lifting = replace(GEAR_MOTOR, coulomb_friction=2e-3, load_torque=6e-3)
+    nodes = ['inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction']
+    record = recorded(lifting, LIVELY, 6.0, 2)
+    told = _fit_of(record, **ROTOR, **{'motor.context_nodes': [*nodes, 'load_torque']})
+    assert told.verdict is FitVerdict.OK
 
 
 @pytest.mark.slow

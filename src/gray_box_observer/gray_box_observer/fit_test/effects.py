@@ -186,6 +186,10 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
 
 COLOURED_NOISE, CHANGE, LOAD = 'coloured_noise', 'change', 'load'
 
+LATE_VOLTAGE, VARYING_LOAD = 'late voltage of a rotor', 'varying load'
+"""Remedies of a delay or lag where a rotor keeps the delay from being estimated, and of a load
+where a constant one is a context node already."""
+
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
@@ -255,6 +259,10 @@ EFFECTS: dict[str, Effect] = {
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
     'noise has a memory',
+    LATE_VOLTAGE: 'declare {motor}.delay in s: voltage acts later than it is stamped, or the '
+    'current sensor lags',
+    VARYING_LOAD: "publish the speed in motor/torque's velocity: "
+    'a load that varies is followed then',
     LOAD: "publish the speed in motor/torque's velocity: a load that varies is followed then; or "
     'add load_torque to {motor}.context_nodes for one that does not vary: more acts on the shaft '
     'than inertia and friction, or the current has an offset',

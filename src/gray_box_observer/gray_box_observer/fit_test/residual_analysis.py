@@ -65,6 +65,9 @@ SCATTERED = 2.0
 PERSISTENT_LAG = 1.0 / 3.0
 """Mechanical time constants after which a load on the shaft still shows in the current."""
 
+FEWEST_MECHANICAL = 20.0
+"""Sample intervals in such a time constant, from which noise with a memory is none of a load."""
+
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
 
@@ -283,9 +286,9 @@ def _persistence(residual: Array, intervals: float) -> float:
         residual: shape (sample,).
         intervals: sample intervals in a mechanical time constant; NaN without a rotor.
     """
-    if not PERSISTENT_LAG * intervals < residual.size:
+    if not FEWEST_MECHANICAL < intervals < residual.size:
         return 0.0
-    later = max(2, round(PERSISTENT_LAG * intervals))
+    later = round(PERSISTENT_LAG * intervals)
     deviation = residual - residual.mean()
     soon = float(deviation[1:] @ deviation[:-1])
     return float(deviation[later:] @ deviation[:-later]) / soon if soon > 0.0 else 0.0
@@ -386,7 +389,7 @@ def _scores(
         weight: shape (sample,): of the samples.
         least_a: noise in A that is there at least.
         late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
-            for delays and lags in all their shapes; None: these are tested like all others.
+            on which delays and lags are tested too, in all their shapes; None: they are not.
     """
     fine = replace(scene, fine=True)
     candidates = [
@@ -404,8 +407,8 @@ def _scores(
     distinct = projection.without(response)
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
-    usual = projection.remainder
-    late = usual if late_remainder is None else late_remainder
+    remainders = (projection.remainder,)
+    late_remainders = remainders if late_remainder is None else (*remainders, late_remainder)
     best: dict[str, EffectScore] = {}
     first = 0
     for effect, shapes in candidates:
@@ -415,21 +418,22 @@ def _scores(
         columns = columns[is_own]
         if columns.size == 0:
             continue
-        remainder = late if effect.name in LATE else usual
-        power = float(remainder @ remainder)
-        own_gram, own_products = gram[np.ix_(columns, columns)], distinct[columns] @ remainder
-        amount = _least_squares(own_gram, own_products)
-        explained_power = float(own_products @ amount)
-        rest_power = power - 2.0 * explained_power + float(amount @ own_gram @ amount)
-        noise = max(rest_power / remainder.size, least_a**2)
-        if explained_power < LIKELY * columns.size * noise:  # a white residual rules it out
-            continue
-        score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
-        if effect.name not in best or score > best[effect.name].score:
-            shift = -projection.shift(amount @ response[columns])
-            amounts = np.zeros(len(shapes))
-            amounts[is_own] = amount
-            best[effect.name] = EffectScore(effect, score, shift, amounts)
+        own_gram = gram[np.ix_(columns, columns)]
+        for remainder in late_remainders if effect.name in LATE else remainders:
+            power = float(remainder @ remainder)
+            own_products = distinct[columns] @ remainder
+            amount = _least_squares(own_gram, own_products)
+            explained_power = float(own_products @ amount)
+            rest_power = power - 2.0 * explained_power + float(amount @ own_gram @ amount)
+            noise = max(rest_power / remainder.size, least_a**2)
+            if explained_power < LIKELY * columns.size * noise:  # a white residual rules it out
+                continue
+            score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
+            if effect.name not in best or score > best[effect.name].score:
+                shift = -projection.shift(amount @ response[columns])
+                amounts = np.zeros(len(shapes))
+                amounts[is_own] = amount
+                best[effect.name] = EffectScore(effect, score, shift, amounts)
     return tuple(sorted(best.values(), key=lambda entry: -entry.score))
 
 

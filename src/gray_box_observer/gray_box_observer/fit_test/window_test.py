@@ -20,7 +20,16 @@ from gray_box_observer.fit_test.data_doubts import (
     may_be_duty,
 )
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
-from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, EFFECTS, LOAD, REMEDIES
+from gray_box_observer.fit_test.effects import (
+    CHANGE,
+    COLOURED_NOISE,
+    EFFECTS,
+    LATE,
+    LATE_VOLTAGE,
+    LOAD,
+    REMEDIES,
+    VARYING_LOAD,
+)
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
 from gray_box_observer.fit_test.policy import (
@@ -363,15 +372,21 @@ class WindowTest:
                 for effect, evidence in scores.items()
                 if effect in candidates
             }
-        torque_constant = float(self.white_box.torque_constant)
         suspects = [
-            self._of_load(one.evidence)
-            if self.white_box.has_rotor and one.effect.name == 'current_offset'
-            else one.suspect(self.configuration.name, torque_constant)
-            for one in select_explanations(candidates.values(), scores)
+            self._suspect_of(one) for one in select_explanations(candidates.values(), scores)
         ]
         is_of_load = analysis.whiteness > WHITENESS_DOUBT and analysis.persistence > PERSISTENT
         return suspects if suspects or not is_of_load else [self._of_colour(analysis)]
+
+    def _suspect_of(self, explanation: Explanation) -> Suspect:
+        """Name an effect, with a remedy that this form of the motor takes."""
+        effect, name = explanation.effect.name, self.configuration.name
+        if self.white_box.has_rotor and effect == 'current_offset':
+            return self._of_load(explanation.evidence)
+        suspect = explanation.suspect(name, float(self.white_box.torque_constant))
+        if self.white_box.has_rotor and effect in LATE:
+            return replace(suspect, remedy=REMEDIES[LATE_VOLTAGE].format(motor=name))
+        return suspect
 
     def _of_colour(self, analysis: ResidualAnalysis) -> Suspect:
         """Name what leaves a residual of one colour: a load on the shaft lasts as a speed does."""
@@ -381,7 +396,8 @@ class WindowTest:
 
     def _of_load(self, evidence: float) -> Suspect:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
-        return Suspect(LOAD, evidence, REMEDIES[LOAD].format(motor=self.configuration.name))
+        remedy = REMEDIES[VARYING_LOAD if self.configuration.has_value('load_torque') else LOAD]
+        return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
 
 
 def _clearest(candidates: Mapping[str, Explanation]) -> float:

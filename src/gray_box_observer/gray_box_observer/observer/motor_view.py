@@ -25,7 +25,7 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
 MOST_JUDGED = 1000
-"""Samples whose sizes are looked at when assumptions are told."""
+"""Newest samples whose sizes are looked at when assumptions are told."""
 
 ALARM_REMEDY = (
     'torque is not what voltage and the identified parameters explain: '
@@ -92,8 +92,8 @@ class MotorView:
 
     @property
     def assumptions(self) -> dict[str, str]:
-        """What is taken for granted of it, by short name; the sizes of its samples count too."""
-        return assumptions(self.configuration, self.white_box, self.spread(MOST_JUDGED))
+        """What is taken for granted of it, by short name; the sizes of newest samples count too."""
+        return assumptions(self.configuration, self.white_box, self.newest(MOST_JUDGED))
 
     @property
     def speed_reason(self) -> str:
@@ -219,12 +219,6 @@ class MotorView:
         count = min(replay.stored(self.place), replay.capacity, most)
         samples: Array = replay.newest(count, self._one)[:, 0]
         return samples
-
-    def spread(self, most: int) -> Array:
-        """Return some of its samples, evenly spread over all that can be read; (signal, n)."""
-        samples = self.newest(self.observer.context_nodes.replay.capacity)
-        step = max(1, -(-samples.shape[1] // most))
-        return samples[:, ::step]
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of it, for a checkpoint."""
