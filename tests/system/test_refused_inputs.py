@@ -107,7 +107,7 @@ def test_an_option_for_a_parameter_without_one_is_refused(refused: Refused, name
         (
             'observer',
             f'{HEAD}motors: ["m[1..60000]", "k[1..60000]"]\n',
-            'stands for 120000 motors, expected 100000',
+            'stands for 120000 motors, expected 10000 at',
         ),
         (
             'motor_sim',
