@@ -16,6 +16,7 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
 ROTOR = {'motor.speed_source': 'rotor', 'motor.effects': 'none'}
+LIFTING = replace(GEAR_MOTOR, coulomb_friction=2e-3, load_torque=6e-3)
 
 
 def _fit_of(record: Recording, **values: object) -> FitAssessment:
@@ -24,9 +25,17 @@ def _fit_of(record: Recording, **values: object) -> FitAssessment:
     return observer.motors['motor'].fit
 
 
-def _late(record: Recording) -> Recording:
-    """Return the record of a voltage that acts three samples later than it is stamped."""
-    return replace(record, voltage_v=np.roll(record.voltage_v, -3, axis=1))
+def _late(record: Recording, samples: int = 3) -> Recording:
+    """Return the record of a voltage that acts some samples later than it is stamped."""
+    return replace(record, voltage_v=np.roll(record.voltage_v, -samples, axis=1))
+
+
+def _with_memory(record: Recording, share: float) -> Recording:
+    """Return the record of a sensor whose noise keeps a share of itself from sample to sample."""
+    rng, noise = np.random.default_rng(4), np.zeros(record.torque_nm.shape[1])
+    for k, push in enumerate(rng.normal(0.0, 4e-4, noise.size - 1)):
+        noise[k + 1] = share * noise[k] + push
+    return replace(record, torque_nm=record.torque_nm + noise)
 
 
 def _lagging(record: Recording) -> Recording:
@@ -61,8 +70,7 @@ def test_what_a_rotor_lacks_is_named(
 
 @pytest.mark.slow
 def test_a_load_on_the_shaft_is_named_and_no_noise() -> None:
-    lifting = replace(GEAR_MOTOR, coulomb_friction=2e-3, load_torque=6e-3)
-    fit = _fit_of(recorded(lifting, LIVELY, 6.0, 2), **ROTOR)
+    fit = _fit_of(recorded(LIFTING, LIVELY, 6.0, 2), **ROTOR)
     assert fit.verdict is not FitVerdict.OK
     assert fit.suspects[0].effect == 'load'
     assert 'motor.context_nodes' in fit.suspects[0].remedy
@@ -71,10 +79,7 @@ def test_a_load_on_the_shaft_is_named_and_no_noise() -> None:
 @pytest.mark.slow
 def test_a_sensor_whose_noise_has_a_memory_is_no_load() -> None:
     record = recorded(GEAR_MOTOR, LIVELY, 6.0, 3)
-    rng, noise = np.random.default_rng(4), np.zeros(record.torque_nm.shape[1])
-    for k, push in enumerate(rng.normal(0.0, 4e-4, noise.size - 1)):
-        noise[k + 1] = 0.7 * noise[k] + push
-    fit = _fit_of(replace(record, torque_nm=record.torque_nm + noise), **ROTOR)
+    fit = _fit_of(_with_memory(record, 0.7), **ROTOR)
     assert fit.suspects[0].effect == 'coloured_noise'
 
 
@@ -84,9 +89,8 @@ def test_a_delay_whose_samples_look_like_outliers_is_no_warning(seed: int) -> No
     """The fit leaves out what lies behind a step; then R is some per cent wrong, and sure."""
     motor = replace(GEAR_MOTOR, inductance=8e-3, inertia=3e-5, coulomb_friction=3e-3)
     record = recorded(motor, LIVELY, 8.0, seed)
-    late = replace(record, voltage_v=np.roll(record.voltage_v, -6, axis=1))
     observer = Observer(Configuration.from_flat({**CONSTANTS, **ROTOR}))
-    feed(observer, [late])
+    feed(observer, [_late(record, 6)])
     assert not observer.motors['motor'].estimate.identified(0)
     fit = observer.motors['motor'].fit
     assert fit.verdict is FitVerdict.MISFIT
@@ -107,10 +111,7 @@ def test_spikes_hide_no_delay() -> None:
 @pytest.mark.slow
 def test_at_a_low_rate_noise_with_a_memory_is_no_load() -> None:
     record = recorded(GEAR_MOTOR, LIVELY, 30.0, 3, 100.0)
-    rng, noise = np.random.default_rng(4), np.zeros(record.torque_nm.shape[1])
-    for k, push in enumerate(rng.normal(0.0, 4e-4, noise.size - 1)):
-        noise[k + 1] = 0.9 * noise[k] + push
-    fit = _fit_of(replace(record, torque_nm=record.torque_nm + noise), **ROTOR)
+    fit = _fit_of(_with_memory(record, 0.9), **ROTOR)
     assert 'load' not in [suspect.effect for suspect in fit.suspects]
 
 
@@ -119,17 +120,15 @@ def test_a_remedy_of_a_rotor_is_one_that_its_configuration_takes() -> None:
     late = _fit_of(_late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1)), **ROTOR)
     assert 'motor.delay: estimate' not in late.suspects[0].remedy
     Configuration.from_flat({**CONSTANTS, **ROTOR, 'motor.delay': 0.003})
-    lifting = replace(GEAR_MOTOR, coulomb_friction=2e-3, load_torque=6e-3)
     nodes = ['inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction']
-    record = recorded(lifting, LIVELY, 6.0, 2)
+    record = recorded(LIFTING, LIVELY, 6.0, 2)
     told = _fit_of(record, **ROTOR, **{'motor.context_nodes': [*nodes, 'load_torque']})
     assert told.verdict is FitVerdict.OK
 
 
 @pytest.mark.slow
 def test_of_a_loaded_rotor_no_dead_zone_of_half_the_voltage_is_suspected() -> None:
-    lifting = replace(GEAR_MOTOR, coulomb_friction=2e-3, load_torque=6e-3)
-    fit = _fit_of(recorded(lifting, LIVELY, 6.0, 2))
+    fit = _fit_of(recorded(LIFTING, LIVELY, 6.0, 2))
     assert fit.verdict is FitVerdict.MISFIT
     assert fit.suspects[0].effect in ('load', 'rotor')
     assert 'dead_zone' not in [suspect.effect for suspect in fit.suspects]

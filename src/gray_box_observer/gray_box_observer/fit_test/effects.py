@@ -186,10 +186,6 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
 
 COLOURED_NOISE, CHANGE, LOAD = 'coloured_noise', 'change', 'load'
 
-LATE_VOLTAGE, VARYING_LOAD = 'late voltage of a rotor', 'varying load'
-"""Remedies of a delay or lag where a rotor keeps the delay from being estimated, and of a load
-where a constant one is a context node already."""
-
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
@@ -256,18 +252,24 @@ EFFECTS: dict[str, Effect] = {
 }
 """Every effect by its name."""
 
+_VARYING_LOAD = "publish the speed in motor/torque's velocity: a load that varies is followed then"
+
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
     'noise has a memory',
-    LATE_VOLTAGE: 'declare {motor}.delay in s: voltage acts later than it is stamped, or the '
-    'current sensor lags',
-    VARYING_LOAD: "publish the speed in motor/torque's velocity: "
-    'a load that varies is followed then',
-    LOAD: "publish the speed in motor/torque's velocity: a load that varies is followed then; or "
-    'add load_torque to {motor}.context_nodes for one that does not vary: more acts on the shaft '
-    'than inertia and friction, or the current has an offset',
+    LOAD: f'{_VARYING_LOAD}; or add load_torque to {{motor}}.context_nodes for one that does not '
+    'vary: more acts on the shaft than inertia and friction, or the current has an offset',
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
+
+ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
+    LATE,
+    'declare {motor}.delay in s: voltage acts later than it is stamped, or the current sensor lags',
+)
+"""The same for a rotor whose speed nobody measures: its delay cannot be estimated."""
+
+LOADED_REMEDIES: dict[str, str] = {LOAD: _VARYING_LOAD}
+"""The same where the constant part of the load is a context node, or known."""
 
 
 def possible_effects(scene: Scene) -> list[tuple[Effect, list[Shapes]]]:

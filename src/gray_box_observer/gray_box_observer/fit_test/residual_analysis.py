@@ -259,10 +259,16 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
 
 def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
     names = [parameter.name for parameter in white_box.parameters]
-    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
-    if 'resistance' not in names or interval_s.size == 0:
+    interval_s = _usual_interval(stretch)
+    if 'resistance' not in names or math.isnan(interval_s):
         return math.inf
-    return 1.0 / (float(p[0, names.index('resistance')]) * float(median(interval_s)))
+    return 1.0 / (float(p[0, names.index('resistance')]) * interval_s)
+
+
+def _usual_interval(stretch: SampleWindow) -> float:
+    """Return the median sample interval in s; NaN where there is none."""
+    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
+    return float(median(interval_s)) if interval_s.size else math.nan
 
 
 def _mechanical_intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
@@ -271,12 +277,9 @@ def _mechanical_intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) 
         return math.nan
     assert isinstance(white_box, MotorWhiteBox)
     values = white_box.values(to_parameters(p)[0])
-    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
-    if interval_s.size == 0:
-        return math.nan
     stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
     time_s = values['resistance'] * values['inertia'] / stiffness
-    return time_s / float(median(interval_s))
+    return time_s / _usual_interval(stretch)
 
 
 def _persistence(residual: Array, intervals: float) -> float:
@@ -407,8 +410,8 @@ def _scores(
     distinct = projection.without(response)
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
-    remainders = (projection.remainder,)
-    late_remainders = remainders if late_remainder is None else (*remainders, late_remainder)
+    remainders = [projection.remainder] + ([] if late_remainder is None else [late_remainder])
+    residual_parts = [(part, distinct @ part, float(part @ part)) for part in remainders]
     best: dict[str, EffectScore] = {}
     first = 0
     for effect, shapes in candidates:
@@ -419,9 +422,10 @@ def _scores(
         if columns.size == 0:
             continue
         own_gram = gram[np.ix_(columns, columns)]
-        for remainder in late_remainders if effect.name in LATE else remainders:
-            power = float(remainder @ remainder)
-            own_products = distinct[columns] @ remainder
+        for remainder, products, power in (
+            residual_parts if effect.name in LATE else residual_parts[:1]
+        ):
+            own_products = products[columns]
             amount = _least_squares(own_gram, own_products)
             explained_power = float(own_products @ amount)
             rest_power = power - 2.0 * explained_power + float(amount @ own_gram @ amount)

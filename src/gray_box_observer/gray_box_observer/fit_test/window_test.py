@@ -24,11 +24,10 @@ from gray_box_observer.fit_test.effects import (
     CHANGE,
     COLOURED_NOISE,
     EFFECTS,
-    LATE,
-    LATE_VOLTAGE,
     LOAD,
+    LOADED_REMEDIES,
     REMEDIES,
-    VARYING_LOAD,
+    ROTOR_REMEDIES,
 )
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
@@ -79,7 +78,6 @@ FEWEST_WITH_SPEED = 32
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
 small residual; else the free run is asked."""
-
 
 PERSISTENT = 0.8
 """Share of a residual's correlation, a third of a mechanical time constant later, from which it is
@@ -280,11 +278,14 @@ class WindowTest:
             is_warned = judgement.verdict is FitVerdict.WARNING
             if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-            if has_rotor:
-                theta = motor.estimate.value[0]
-                voltage_v = root_mean_square(samples[VOLTAGE])
-                candidates = scored_explanations(self.white_box, theta, analysis.scores, voltage_v)
             if judgement.verdict is not FitVerdict.OK:
+                if has_rotor:
+                    candidates = scored_explanations(
+                        self.white_box,
+                        motor.estimate.value[0],
+                        analysis.scores,
+                        root_mean_square(samples[VOLTAGE]),
+                    )
                 current_a = np.asarray(self.white_box.state(samples[TORQUE]), dtype=float)
                 stamp_suspects = doubts_of_stamps(samples[INTERVAL], current_a, analysis)
                 suspects = suspects + stamp_suspects + self._suspects(analysis, candidates)
@@ -384,8 +385,8 @@ class WindowTest:
         if self.white_box.has_rotor and effect == 'current_offset':
             return self._of_load(explanation.evidence)
         suspect = explanation.suspect(name, float(self.white_box.torque_constant))
-        if self.white_box.has_rotor and effect in LATE:
-            return replace(suspect, remedy=REMEDIES[LATE_VOLTAGE].format(motor=name))
+        if self.white_box.has_rotor and effect in ROTOR_REMEDIES:
+            return replace(suspect, remedy=ROTOR_REMEDIES[effect].format(motor=name))
         return suspect
 
     def _of_colour(self, analysis: ResidualAnalysis) -> Suspect:
@@ -396,7 +397,8 @@ class WindowTest:
 
     def _of_load(self, evidence: float) -> Suspect:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
-        remedy = REMEDIES[VARYING_LOAD if self.configuration.has_value('load_torque') else LOAD]
+        is_loaded = self.configuration.has_value('load_torque')
+        remedy = (LOADED_REMEDIES if is_loaded else REMEDIES)[LOAD]
         return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
 
 
