@@ -13,14 +13,16 @@ all four quadrants.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from dc_motor_sim.errors import PlantError
 from dc_motor_sim.quantity import about, check_fields
-from dc_motor_sim.solver import FloatArray, integrate
+from dc_motor_sim.solver import Derivative, FloatArray, State, integrate
 
 SPEED_MODES = ('thesis', 'rotor')
 
@@ -35,6 +37,9 @@ STEPS_PER_TIME_CONSTANT = 10
 """Solver steps within the shortest electrical or mechanical time constant, at least."""
 
 MAX_SUBSTEPS = 100_000
+
+MOST_BY_NUMBERS = 8
+"""Motors up to which plain numbers, a motor at a time, are faster than arrays of all motors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +117,7 @@ class Plant:
             f.name: np.array([getattr(motor, f.name) for motor in self.motors])
             for f in fields(PlantParameters)
         }
+        self._columns = SimpleNamespace(**columns)
         self._L: FloatArray = columns['inductance']
         self._R: FloatArray = columns['resistance']
         self._K: FloatArray = columns['hysteresis']
@@ -137,20 +143,6 @@ class Plant:
         """Return the shaft speed in rad/s."""
         return state[:, 1].copy() if self._rotor else self._Kt * state[:, 0]
 
-    def derivative(self, state: FloatArray, voltage_v: FloatArray) -> FloatArray:
-        """Return the time derivative of the state, same shape (equation 4.4 in thesis mode)."""
-        current = state[:, 0]
-        speed = state[:, 1] if self._rotor else self._Kt * current
-        drop = (self._R + self._K * np.abs(speed)) * current + self._Kb * speed
-        if self._brushes:
-            drop += self._Vb * np.tanh(current / BRUSH_SMOOTHING_A)
-        current_rate: FloatArray = (voltage_v - drop) / self._L
-        if not self._rotor:
-            return current_rate[:, np.newaxis]
-        friction = self._b * speed + self._Tc * np.tanh(speed / FRICTION_SMOOTHING_RAD_S)
-        speed_rate = (self._Kt * current - friction - self._Tl) / self._J
-        return np.stack((current_rate, speed_rate), axis=1)
-
     def step(
         self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int
     ) -> FloatArray:
@@ -167,7 +159,19 @@ class Plant:
         """
         # An overflow becomes a named error below, so numpy's own warning would only repeat it.
         with np.errstate(over='ignore', invalid='ignore'):
-            after = integrate(lambda s: self.derivative(s, voltage_v), state, step_s, substeps)
+            if len(self.motors) <= MOST_BY_NUMBERS:
+                after = np.array(
+                    [
+                        integrate(self._derivative(motor, volt, math.tanh), row, step_s, substeps)
+                        for motor, volt, row in zip(
+                            self.motors, voltage_v.tolist(), state.tolist(), strict=True
+                        )
+                    ]
+                )
+            else:
+                derivative = self._derivative(self._columns, voltage_v, np.tanh)
+                columns = integrate(derivative, tuple(state.T), step_s, substeps)
+                after = np.stack(columns, axis=1)
         if not np.isfinite(after).all():
             motor = int(np.flatnonzero(~np.isfinite(after).all(axis=1))[0])
             raise PlantError(
@@ -175,6 +179,37 @@ class Plant:
                 'check its parameters or use a smaller solver_step_s'
             )
         return after
+
+    def _derivative(self, motor: Any, voltage_v: Any, tanh: Callable[[Any], Any]) -> Derivative:
+        """Return the time derivative of a state under a voltage (equation 4.4 in thesis mode).
+
+        Args:
+            motor: Parameters of one motor, or arrays of those of all motors.
+            voltage_v: Its voltage, or theirs.
+            tanh: Of numbers, or of arrays.
+        """
+        L, R, K, Kt, Kb = (
+            motor.inductance, motor.resistance, motor.hysteresis, motor.torque_constant,
+            motor.back_emf_constant,
+        )  # fmt: skip
+        V_b, J, b = motor.brush_drop, motor.inertia, motor.viscous_friction
+        T_c, T_load = motor.coulomb_friction, motor.load_torque
+        has_brushes = self._brushes
+
+        def current_rate(current: Any, speed: Any) -> Any:
+            drop = (R + K * abs(speed)) * current + Kb * speed
+            if has_brushes:
+                drop = drop + V_b * tanh(current / BRUSH_SMOOTHING_A)
+            return (voltage_v - drop) / L
+
+        def thesis(current: Any) -> State:
+            return (current_rate(current, Kt * current),)
+
+        def rotor(current: Any, speed: Any) -> State:
+            friction = b * speed + T_c * tanh(speed / FRICTION_SMOOTHING_RAD_S)
+            return current_rate(current, speed), (Kt * current - friction - T_load) / J
+
+        return rotor if self._rotor else thesis
 
     def substeps_for(
         self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float

@@ -141,11 +141,12 @@ def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
             os.write(2, f'{name}: interrupted; nothing was written\n'.encode())
         os._exit(0 if is_node else EXIT_INTERRUPTED)
 
-    # nohup asked for what is ignored; a command that is terminated ends as every other
+    # A command leaves what is ignored; a node only SIGHUP, as nohup wants: a background job of a
+    # script starts with SIGINT ignored, and rclpy's nodes listen to it.
     ends = [
         n
         for n in (SIGNALS if is_node else (signal.SIGINT,))
-        if signal.getsignal(n) is not signal.SIG_IGN
+        if (is_node and n != signal.SIGHUP) or signal.getsignal(n) is not signal.SIG_IGN
     ]
     for number in ends:
         signal.signal(number, end)

@@ -234,6 +234,17 @@ def test_a_signal_ends_it_when_its_readers_have_acknowledged(listener, launch, n
     assert f'published {len(listener.torque)} samples' in err
 
 
+def test_a_background_job_of_a_script_listens_to_an_interrupt(listener, launch):
+    inherited = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts `motor_sim &`
+    try:
+        process = launch()
+    finally:
+        signal.signal(signal.SIGINT, inherited)
+    listener.wait(lambda: listener.torque, 'samples')
+    code, _, _ = listener.peer.end(process, signal.SIGINT)
+    assert code == 0
+
+
 def test_who_interrupts_again_waits_no_longer_for_a_reader_that_hangs(listener, tmp_path):
     peer = listener.peer
     reader = peer.start('gray_box_observer.ros.bags.recorder_node', '-o', str(tmp_path / 'bag'))

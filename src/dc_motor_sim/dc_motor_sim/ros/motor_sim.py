@@ -30,7 +30,7 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
-from dc_motor_sim.end_signals import SIGNALS
+from dc_motor_sim.end_signals import listened_signals
 from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.quantity import in_words
@@ -330,17 +330,14 @@ def main(args: Sequence[str] | None = None) -> int:
     asked_s: list[float] = []
 
     # rclpy's own handlers would shut the context down under the last samples.
-    signal_numbers = [
-        number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
-    ]
+    signal_numbers = listened_signals()
     for number in signal_numbers:
         signal.signal(number, lambda *_: asked_s.append(time.monotonic()))
     try:
         return _run(argv, asked_s)
     finally:
-        for number in (
-            signal_numbers
-        ):  # a second interrupt, as of a terminal and of launch, must not kill what is done
+        # A second interrupt, as of a terminal and of launch, must not kill what is done.
+        for number in signal_numbers:
             signal.signal(number, signal.SIG_IGN)
 
 
