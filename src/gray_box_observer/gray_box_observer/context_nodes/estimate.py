@@ -36,6 +36,11 @@ COUNTS_AS_KNOWN = (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
 """Verdicts under which a controller may lean on a number."""
 
 
+def unsettled(verdict: Verdict) -> Verdict:
+    """Return what a verdict becomes while the newest samples do not bear the estimate out."""
+    return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
+
+
 NOT_FINITE = 'an estimate that is not finite'
 """Why such an estimate is not given out."""
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, misfit
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, misfit, unsettled
 from gray_box_observer.context_nodes.measured_speed.exact_speed import (
     exact_residual,
     log_likelihood_ratio,
@@ -52,7 +52,14 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import SPEED, ReplayBuffer, check_signals
+from gray_box_observer.samples.replay_buffer import (
+    INTERVAL,
+    SPEED,
+    TORQUE,
+    VOLTAGE,
+    ReplayBuffer,
+    check_signals,
+)
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array, Parameter
@@ -65,6 +72,12 @@ COLOURED = 3.0
 EVIDENCE = 30.0
 """Log-likelihood by which the current must be likelier with the speed of the whole motor, beside
 what as many unknowns explain of mere noise."""
+
+LESS_LIKELY, SHARP = 0.05, 0.05
+"""Log-likelihood a sample by which the current may be less likely with the speed of the whole motor
+than with the measured one: a residual larger by so much. Beyond it the whole motor is believed only
+where its lag is known to this share of a sample interval. Else a few samples fit a lag that is not
+there, to a tenth of an interval at best; a filter of the sensor is known to a thirtieth."""
 
 LATE, LATE_STDS = 0.1, 5.0
 """Sample intervals, and standard deviations, from which the speed is late: the recursive rule takes
@@ -83,7 +96,8 @@ twice as many, and for twice as many again each time, up to RAREST. Nor is it as
 the search has taken, after the next failure for twice as long, and so on."""
 
 MOST_FAILURES = 3
-"""Windows in a row that the whole motor does not explain before it is given up."""
+"""Windows in a row that the whole motor does not explain before it is given up; one, where it was
+believed for less than FULL samples."""
 
 FORGOTTEN, LEAST_SPREAD = 0.7, 1e-3
 """Share of what a varying load may have done that is left after a window whose load is constant,
@@ -243,6 +257,8 @@ class MeasuredSpeedUpdate:
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_frozen = self._outputs.is_frozen
         verdicts = self.verdict_rules.judge(parameters, value, std, is_frozen=is_frozen, most=most)
+        if self._failures > 0:  # the newest samples are not explained
+            verdicts = tuple(tuple(map(unsettled, own)) for own in verdicts)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
     @property
@@ -364,7 +380,12 @@ class MeasuredSpeedUpdate:
         if fit is None or not (fit.explains or self._is_nearly_late(fit)):
             self._failures += 1
             self._explained_count = -1
-            self._is_noisy &= self._failures < MOST_FAILURES
+            if fit is not None and self._is_noisy:
+                samples = samples[:, -fit.window.current_a.size :]
+                self._is_clear(samples, fit)
+                self._is_noisy = not self._is_contradicted(samples, fit)
+            is_full = self._samples.stored(0) >= FULL  # few samples may mislead
+            self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
             count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
             rest = max(rest, 2 * self._failures * (now - place))
@@ -376,7 +397,11 @@ class MeasuredSpeedUpdate:
         else:
             self._explained_count = -1
             samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
-        is_noisy = fit.shows_noise and self._is_clear(samples, fit)
+        is_clear = self._is_clear(samples, fit)
+        if self._is_contradicted(samples, fit):
+            self._is_noisy = False
+            return False
+        is_noisy = fit.shows_noise and is_clear
         if not (self._is_noisy or is_noisy or self._is_late(fit)):
             return False
         if not self._is_noisy:
@@ -413,7 +438,7 @@ class MeasuredSpeedUpdate:
 
     def _is_late(self, fit: OutputFit) -> bool:
         """Tell whether the speed is late, and that matters to the parameters."""
-        interval_s = float(median(fit.window.histories[-1].interval_s))
+        interval_s = _interval_s(fit)
         lag_s, std_s = fit.lag()
         if abs(lag_s) < max(LATE * interval_s, LATE_STDS * std_s):
             return False
@@ -429,20 +454,46 @@ class MeasuredSpeedUpdate:
         A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual. The
         recursive rule would take the lag for resistance, and see no fault.
         """
-        return fit.is_within(HOPELESS) and self._is_late(fit)
+        return fit.is_within(HOPELESS) and fit.lag()[0] > 0.0 and self._is_late(fit)
 
     def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
         """Tell whether the current is clearly likelier with the speed of the whole motor.
 
-        The measured speed is tried at the values of either rule: that the recursive one has not
-        settled is no evidence.
+        The measured speed is tried at the values of either rule, and before it is doubted for the
+        first time at those that suit it best: that the recursive rule has not settled is no
+        evidence.
         """
-        std = fit.noise.current_a
         self._evidence = min(
-            log_likelihood_ratio(exact_residual(self._white_box, theta, samples), std)
+            self._evidence_against(theta, samples, fit)
             for theta in (self._exact.theta[0], self._outputs.theta[0, self._nodes])
         )
+        if not self._is_noisy and not self._is_contradicted(samples, fit):
+            theta = self._refitted(samples)
+            self._evidence = min(self._evidence, self._evidence_against(theta, samples, fit))
         return self._evidence > EVIDENCE + 0.5 * fit.unknowns
+
+    def _evidence_against(self, theta: Array, samples: Array, fit: OutputFit) -> float:
+        """Return how much likelier the current is by a fit than by the measured speed."""
+        residual = exact_residual(self._white_box, theta, samples)
+        return log_likelihood_ratio(residual, fit.noise.current_a)
+
+    def _refitted(self, samples: Array) -> Array:
+        """Return the values, shape (parameter,), that suit samples best by their measured speed."""
+        rule = RecursiveEstimator(self._white_box, self._exact.theta)
+        signals = (float(samples[row, -1]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
+        learn_at_once(rule, samples[:, None], Sample.of_one_motor(0, *signals))
+        return rule.theta[0]
+
+    def _is_contradicted(self, samples: Array, fit: OutputFit) -> bool:
+        """Tell whether the current is clearly less likely with the speed of the whole motor.
+
+        Where the speed is clearly late that is no contradiction: the recursive rule takes the lag
+        for resistance, and leaves as little.
+        """
+        lag_s, std_s = fit.lag()
+        interval_s = _interval_s(fit)
+        is_clearly_late = abs(lag_s) >= LATE * interval_s and std_s < SHARP * interval_s
+        return not is_clearly_late and self._evidence < -LESS_LIKELY * samples.shape[1]
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
@@ -505,3 +556,8 @@ class MeasuredSpeedUpdate:
         place = newest_place + whole(own, 'place', samples.shape[1] - newest_place, 0)
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
         self._samples = remembering(samples, place, begin)
+
+
+def _interval_s(fit: OutputFit) -> float:
+    """Return the usual time between the samples of a fit."""
+    return float(median(fit.window.histories[-1].interval_s))
