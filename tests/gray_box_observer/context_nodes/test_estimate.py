@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes import Estimate, Verdict, VerdictSettings
+from gray_box_observer.context_nodes.estimate import unsettled
 from gray_box_observer.white_box.interface import Parameter
 
 PARAMETER = Parameter('resistance', 'ohm', 3.0, 0.1, 100.0, 'R.')
@@ -113,3 +114,9 @@ def test_of_a_voltage_that_is_not_known_a_parameter_of_either_sign_is_judged_by_
     rules = VerdictSettings()
     assert rules.judge_signed(0.5, 0.005, 0.0) is Verdict.IDENTIFIED
     assert rules.judge_signed(0.0, 1e-6, 0.0) is Verdict.CONVERGING
+
+
+def test_what_counts_as_known_converges_while_the_newest_samples_do_not_bear_it_out() -> None:
+    known = {verdict for verdict in Verdict if unsettled(verdict) is not verdict}
+    assert known == {Verdict.IDENTIFIED, Verdict.NEGLIGIBLE}
+    assert {unsettled(verdict) for verdict in known} == {Verdict.CONVERGING}
