@@ -350,10 +350,10 @@ class MeasuredSpeedUpdate:
             go_on: goes on with it.
             has_changed: whether the recursive rule has changed its own.
         """
-        was_noisy, fits = self._is_noisy, self._outputs.counters()
+        before, fits = (self._is_noisy, self._failures > 0), self._outputs.counters()
         has_fitted = self._has_fitted(go_on)
-        if self._is_noisy or was_noisy:
-            has_changed = has_fitted or self._is_noisy != was_noisy
+        if self._is_noisy or before[0]:
+            has_changed = has_fitted or (self._is_noisy, self._failures > 0) != before
         if self._mechanics is not None:
             has_changed |= self._outputs.counters() != fits
         self._change_flags = _CHANGED if has_changed else _UNCHANGED
@@ -381,9 +381,9 @@ class MeasuredSpeedUpdate:
             self._failures += 1
             self._explained_count = -1
             if fit is not None and self._is_noisy:
-                samples = samples[:, -fit.window.current_a.size :]
-                self._is_clear(samples, fit)
-                self._is_noisy = not self._is_contradicted(samples, fit)
+                newest = samples[:, -fit.window.current_a.size :]
+                self._is_clear(newest, fit)
+                self._is_noisy = not self._is_contradicted(newest, fit)
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
             self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
             count, now = samples.shape[1], int(self._outputs.replay.received[0])
@@ -482,7 +482,8 @@ class MeasuredSpeedUpdate:
         rule = RecursiveEstimator(self._white_box, self._exact.theta)
         signals = (float(samples[row, -1]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
         learn_at_once(rule, samples[:, None], Sample.of_one_motor(0, *signals))
-        return rule.theta[0]
+        theta: Array = rule.theta[0]
+        return theta
 
     def _is_contradicted(self, samples: Array, fit: OutputFit) -> bool:
         """Tell whether the current is clearly less likely with the speed of the whole motor.
