@@ -38,6 +38,9 @@ change may need a few until its samples tell which it was."""
 STEADY_EXAMINATIONS = 5
 """The same up to which a winding may heat: what jumps again and again is none."""
 
+SHORTEST_DRIFT_S = 2.0
+"""Time from which a winding may be told to heat: in less noise may look like it."""
+
 GROWTH = 4
 """Factor from one patience to the next."""
 
@@ -145,6 +148,8 @@ class ChangeTracker:
         rate, after = random_walk.select_rate(
             motors.white_box, anchor, stretch, still, self._rules.block, jump
         )
+        is_long = stretch.interval_s.sum(axis=1) >= SHORTEST_DRIFT_S
+        rate = np.where(is_long | (state.walk_rate > 0.0), rate, 0.0)
         is_walking: NDArray[np.bool_] = rate > 0.0
         state.change_count = state.change_count + (is_walking & ~(state.walk_rate > 0.0))
         state.walk_rate = rate
