@@ -382,7 +382,7 @@ class MeasuredSpeedUpdate:
             self._explained_count = -1
             if fit is not None and self._is_noisy:
                 newest = samples[:, -fit.window.current_a.size :]
-                self._is_clear(newest, fit)
+                self._compare_speeds(newest, fit)
                 self._is_noisy = not self._is_contradicted(newest, fit)
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
             self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
@@ -397,12 +397,14 @@ class MeasuredSpeedUpdate:
         else:
             self._explained_count = -1
             samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
-        is_clear = self._is_clear(samples, fit)
+        is_late = self._is_late(fit)
+        if not (self._is_noisy or fit.shows_noise or is_late):
+            return False
+        self._compare_speeds(samples, fit)
         if self._is_contradicted(samples, fit):
             self._is_noisy = False
             return False
-        is_noisy = fit.shows_noise and is_clear
-        if not (self._is_noisy or is_noisy or self._is_late(fit)):
+        if not (self._is_noisy or is_late or (fit.shows_noise and self._is_clear(fit))):
             return False
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
@@ -456,8 +458,8 @@ class MeasuredSpeedUpdate:
         """
         return fit.is_within(HOPELESS) and fit.lag()[0] > 0.0 and self._is_late(fit)
 
-    def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
-        """Tell whether the current is clearly likelier with the speed of the whole motor.
+    def _compare_speeds(self, samples: Array, fit: OutputFit) -> None:
+        """Find how much likelier the current is with the speed of the whole motor.
 
         The measured speed is tried at the values of either rule, and before it is doubted for the
         first time at those that suit it best: that the recursive rule has not settled is no
@@ -470,6 +472,9 @@ class MeasuredSpeedUpdate:
         if not self._is_noisy and not self._is_contradicted(samples, fit):
             theta = self._refitted(samples)
             self._evidence = min(self._evidence, self._evidence_against(theta, samples, fit))
+
+    def _is_clear(self, fit: OutputFit) -> bool:
+        """Tell whether the current is clearly likelier with the speed of the whole motor."""
         return self._evidence > EVIDENCE + 0.5 * fit.unknowns
 
     def _evidence_against(self, theta: Array, samples: Array, fit: OutputFit) -> float:

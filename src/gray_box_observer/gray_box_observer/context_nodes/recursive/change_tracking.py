@@ -140,6 +140,10 @@ class ChangeTracker:
     ) -> NDArray[np.bool_]:
         """The same for motors whose anchor lies equally far back."""
         state, jump = motors.state, None
+        is_long = stretch.interval_s.sum(axis=1) >= SHORTEST_DRIFT_S
+        may_walk: NDArray[np.bool_] = is_long | (state.walk_rate > 0.0)
+        if not may_walk.any():
+            return may_walk
         if jumped_before is not None:
             freedom = self._rules.drift_relative_std * np.eye(state.belief.p.shape[1])
             jump = random_walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
@@ -148,8 +152,7 @@ class ChangeTracker:
         rate, after = random_walk.select_rate(
             motors.white_box, anchor, stretch, still, self._rules.block, jump
         )
-        is_long = stretch.interval_s.sum(axis=1) >= SHORTEST_DRIFT_S
-        rate = np.where(is_long | (state.walk_rate > 0.0), rate, 0.0)
+        rate = np.where(may_walk, rate, 0.0)
         is_walking: NDArray[np.bool_] = rate > 0.0
         state.change_count = state.change_count + (is_walking & ~(state.walk_rate > 0.0))
         state.walk_rate = rate
