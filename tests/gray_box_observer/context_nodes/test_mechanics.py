@@ -40,6 +40,7 @@ def readings(load: str = 'none', noise: float = 0.01) -> Readings:
     loads = {
         'none': np.zeros(COUNT),
         'constant': np.full(COUNT, 0.1 * STALLED),
+        'driving': np.full(COUNT, -0.1 * STALLED),
         'slow': 0.15 * STALLED * np.sin(2.0 * np.pi * 1.3 * time_s),
         'fast': 0.1 * STALLED * np.sin(2.0 * np.pi * 17.0 * time_s),
     }
@@ -115,10 +116,12 @@ def test_every_parameter_is_told_as_identified_or_not() -> None:
 
 
 @pytest.mark.slow
-def test_a_constant_load_is_told_where_it_is_asked_for() -> None:
-    estimate = observed('constant', ('load_torque',)).estimates()['motor']
-    assert estimate.value[0, -1] == pytest.approx(0.1 * STALLED, rel=0.02)
+@pytest.mark.parametrize(('load', 'sign'), [('constant', 1.0), ('driving', -1.0)])
+def test_a_constant_load_is_told_where_it_is_asked_for(load: str, sign: float) -> None:
+    estimate = observed(load, ('load_torque',)).estimates()['motor']
+    assert estimate.value[0, -1] == pytest.approx(sign * 0.1 * STALLED, rel=0.02)
     assert estimate.verdicts[0][-1] is Verdict.IDENTIFIED
+    assert (np.abs(estimate.value[0, :-1] - THETA) < 4.0 * estimate.std[0, :-1]).all()
 
 
 @pytest.mark.slow

@@ -124,11 +124,3 @@ def test_a_remedy_of_a_rotor_is_one_that_its_configuration_takes() -> None:
     record = recorded(LIFTING, LIVELY, 6.0, 2)
     told = _fit_of(record, **ROTOR, **{'motor.context_nodes': [*nodes, 'load_torque']})
     assert told.verdict is FitVerdict.OK
-
-
-@pytest.mark.slow
-def test_of_a_loaded_rotor_no_dead_zone_of_half_the_voltage_is_suspected() -> None:
-    fit = _fit_of(recorded(LIFTING, LIVELY, 6.0, 2))
-    assert fit.verdict is FitVerdict.MISFIT
-    assert fit.suspects[0].effect in ('load', 'rotor')
-    assert 'dead_zone' not in [suspect.effect for suspect in fit.suspects]

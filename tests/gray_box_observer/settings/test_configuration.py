@@ -66,11 +66,10 @@ def test_every_term_has_an_initial_value_inside_its_bounds() -> None:
     specs = {spec.name: spec for spec in MOTOR_PARAMETERS}
     for name, term in TERMS.items():
         spec = specs[f'initial.{name}']
-        assert (spec.default, spec.minimum, spec.maximum) == (
-            term.parameter.initial + term.known_part,
-            term.parameter.lower + term.known_part,
-            term.parameter.upper + term.known_part,
-        )
+        bounds = (term.parameter.initial, term.parameter.lower, term.parameter.upper)
+        if term.has_either_sign:
+            bounds = (0.0, -term.parameter.upper, term.parameter.upper)
+        assert (spec.default, spec.minimum, spec.maximum) == bounds
         assert term.parameter.unit in spec.description
 
 

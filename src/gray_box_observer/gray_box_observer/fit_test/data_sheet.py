@@ -22,6 +22,7 @@ from gray_box_observer.fit_test.data_doubts import (
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
+from gray_box_observer.white_box.declaration import TERMS
 
 FAR = 3.0
 """Standard deviations, of both together, beyond which they contradict each other."""
@@ -163,6 +164,8 @@ def _comparisons(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding
     """Return the parameters that are identified beside what was given, far from it or not."""
     findings = []
     for j, parameter in enumerate(estimate.parameters):  # mechanics of a measured speed among them
+        if TERMS[parameter.name].has_either_sign:
+            continue  # no factor of a start that may be zero
         initial = float(motor.values[f'initial.{parameter.name}'])
         relative_std = float(motor.values[f'initial_relative_std.{parameter.name}'])
         given_spread = relative_std if relative_std > 0.0 else _untold_spread(motor, parameter.name)

@@ -1,8 +1,9 @@
 """Effects that look alike, and what the parameters would be with the other one.
 
 A voltage that is lost against the current and an offset are the same as long as the current keeps
-its sign. Where one of them was added by data or named by the user, and the other one explains the
-data as well, nothing may be believed that leans on the choice.
+its sign. A load that does not vary is an offset, too, but for the dry friction, which asks for the
+sign of the speed. Where one of them was added by data or named by the user, and another one
+explains the data as well, nothing may be believed that leans on the choice.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
-LOST_VOLTAGE, OFFSET = 'brush_drop', 'voltage_offset'
+LOST_VOLTAGE, OFFSET, LOAD_TORQUE = 'brush_drop', 'voltage_offset', 'load_torque'
 
 TWINS = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
 """Context nodes of effects that look alike as long as the current keeps its sign."""
@@ -39,6 +40,8 @@ def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float)
         Shape (twin, parameter): a row for every twin that explains the data as well.
     """
     names = [parameter.name for parameter in white_box.parameters]
+    if white_box.has_rotor and LOAD_TORQUE in names:
+        return _load_shifts(white_box, run, theta, noise_a)
     terms = {*names, *white_box.given}
     questions = [name for name in names if name in TWINS and TWINS[name] not in terms]
     if not questions:
@@ -53,26 +56,73 @@ def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float)
     twins_v = [shapes[TWINS[names[own]]]]
     if not white_box.has_rotor:
         twins_v.append(_current_offset(white_box, run, theta, own))
-    weight = np.sqrt(run.weight)
-    responses = run.response(-np.stack([amount_v * shapes[names[own]], *twins_v])) * weight
-    others = np.column_stack([run.jacobian, *run.further]) * weight[:, None]
-    others = np.delete(others, 1 + own, axis=1)
+    responses = run.response(-np.stack([amount_v * shapes[names[own]], *twins_v]))
     shifts = []
     for twin, response in enumerate(responses[1:]):
-        columns = np.column_stack([others, response])
-        scale = np.linalg.norm(columns, axis=0) + 1e-300
-        weights = np.linalg.lstsq(columns / scale, responses[0], rcond=1e-9)[0] / scale
-        rest = responses[0] - columns @ weights
-        if 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
-            is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
-            own_shift = -amount_v / theta[own] if is_other else 0.0
-            coordinates = np.insert(weights[1 : len(names)], own, own_shift)
-            shift = coordinates - coordinates[0]
-            shift[0] = -coordinates[0]
-            if not is_other:
-                shift[own] = 0.0
-            shifts.append(shift)
+        coordinates = _swapped(run, own, responses[0], response, noise_a)
+        if coordinates is None:
+            continue
+        is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
+        own_shift = -amount_v / theta[own] if is_other else 0.0
+        shifts.append(_shift(coordinates, own, own_shift, leans=is_other))
     return np.array(shifts).reshape(-1, len(names))
+
+
+def _load_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float) -> Array:
+    """Return the shifts where an offset, of voltage or current, takes the place of a load."""
+    names = [parameter.name for parameter in white_box.parameters]
+    own = names.index(LOAD_TORQUE)
+    relative = float(theta[own] + white_box.known_parts[own]) / float(theta[own])
+    response = relative * run.jacobian[:, 1 + own]
+    by_voltage = run.response(-np.ones((1, run.current_a.size - 1)))[0]
+    shifts = []
+    for twin in (by_voltage, np.ones_like(run.current_a)):
+        coordinates = _swapped(run, own, response, twin, noise_a)
+        if coordinates is not None:
+            shifts.append(_shift(coordinates, own, -relative, leans=True))
+    return np.array(shifts).reshape(-1, len(names))
+
+
+def _swapped(run: FreeRun, own: int, response: Array, twin: Array, noise_a: float) -> Array | None:
+    """Return how the other coordinates move where a twin takes an effect's place.
+
+    Args:
+        run: the free run.
+        own: place of the effect among the parameters.
+        response: shape (k + 1,): of the current to the effect.
+        twin: likewise: to one unit of the twin.
+        noise_a: standard deviation of the residual.
+
+    Returns:
+        Shape (parameter - 1,); None where the twin does not explain the data as well.
+    """
+    weight = np.sqrt(run.weight)
+    others = np.delete(np.column_stack([run.jacobian, *run.further, twin]), 1 + own, axis=1)
+    columns, target = others * weight[:, None], response * weight
+    scale = np.linalg.norm(columns, axis=0) + 1e-300
+    weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0] / scale
+    rest = target - columns @ weights
+    if not 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
+        return None
+    result: Array = weights[1 : run.jacobian.shape[1] - 1]
+    return result
+
+
+def _shift(coordinates: Array, own: int, own_shift: float, *, leans: bool) -> Array:
+    """Return the shift of the logarithms of the parameters, shape (parameter,).
+
+    Args:
+        coordinates: shape (parameter - 1,): of the others' coordinates.
+        own: place of the effect among the parameters.
+        own_shift: of its own coordinate.
+        leans: whether its own value leans on the choice.
+    """
+    every_coordinate = np.insert(coordinates, own, own_shift)
+    shift: Array = every_coordinate - every_coordinate[0]
+    shift[0] = -every_coordinate[0]
+    if not leans:
+        shift[own] = 0.0
+    return shift
 
 
 def _current_offset(white_box: WhiteBox, run: FreeRun, theta: Array, own: int) -> Array:

@@ -29,6 +29,7 @@ from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice, Op
 from gray_box_observer.observer.motor_form import (
     EFFECT_NODES,
     MEASURED,
+    OF_A_ROTOR,
     ROTOR,
     THESIS,
     FormKind,
@@ -140,7 +141,6 @@ def _form_choice(
     speed_measured: bool,
 ) -> FormChoice:
     """Say which form the physics of motors takes, and whether data may lead to another one."""
-    effects, why_none = _open_effects(configuration, motors)
     source = motors[0].values['speed_source']
     sources: tuple[str, ...] = (source,)
     reason = 'as configured'
@@ -152,11 +152,12 @@ def _form_choice(
         if obstacle is None:
             sources = (THESIS, ROTOR)
             reason = 'a speed of Kt i is assumed, as in the thesis, until the data call for a rotor'
+    effects, why_none = _open_effects(configuration, motors, has_rotor=ROTOR in sources)
     return FormChoice(sources[0], reason, OpenForms(make, sources, effects), why_none)
 
 
 def _open_effects(
-    configuration: Configuration, motors: Sequence[MotorConfiguration]
+    configuration: Configuration, motors: Sequence[MotorConfiguration], *, has_rotor: bool
 ) -> tuple[tuple[str, ...], str]:
     """Return the effects that data may add to the form of motors, and why there are none."""
     first = motors[0]
@@ -168,7 +169,8 @@ def _open_effects(
         return (), f'none are added: context_update is {configuration["context_update"]}'
     if first.estimates_delay:
         return (), 'none are added: the delay is estimated'
-    return tuple(node for node in EFFECT_NODES if not first.has_value(node)), NOTHING_ADDED
+    possible = [node for node in EFFECT_NODES if has_rotor or node not in OF_A_ROTOR]
+    return tuple(node for node in possible if not first.has_value(node)), NOTHING_ADDED
 
 
 def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]) -> str | None:
@@ -257,9 +259,10 @@ def _mechanics(motor: MotorConfiguration) -> Mechanics | None:
         return None
     return Mechanics(
         nodes,
-        [float(motor.values[f'initial.{name}']) for name in nodes],
-        [float(motor.values[f'initial_relative_std.{name}']) for name in nodes],
+        motor.initial_of(nodes),
+        motor.initial_relative_std_of(nodes),
         motor.known_mechanics,
+        motor.known_mechanical_parts,
     )
 
 
@@ -268,9 +271,10 @@ def initial_estimate(configuration: Configuration, motor: MotorConfiguration) ->
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
     nodes = context_nodes(configuration, [motor], white_box)
     estimate = nodes.estimate()
-    if isinstance(nodes, MeasuredSpeedUpdate):
-        estimate = nodes.with_mechanics(estimate, is_believed=True)
-    return estimate.with_known_parts(white_box.known_parts)
+    if not isinstance(nodes, MeasuredSpeedUpdate):
+        return estimate.with_known_parts(white_box.known_parts)
+    estimate = nodes.with_mechanics(estimate, is_believed=True)
+    return estimate.with_known_parts(nodes.published_known_parts)
 
 
 def pairing_rules(configuration: Configuration) -> PairingSettings:

@@ -18,9 +18,9 @@ from gray_box_observer.context_nodes import ContextUpdate
 from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import CHANGE
+from gray_box_observer.fit_test.effects import CHANGE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
-from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET, TWINS
+from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
     MOST_CANDIDATES,
     NEWEST,
@@ -31,6 +31,7 @@ from gray_box_observer.observer.form_trial import (
 )
 from gray_box_observer.observer.motor_form import (
     MEASURED,
+    OF_A_ROTOR,
     ROTOR,
     THESIS,
     FormKind,
@@ -53,7 +54,12 @@ LONGEST_WAIT = 65536
 LONGEST_REASON = 500
 """Characters of a reason."""
 
-NODES = {'lost_voltage': LOST_VOLTAGE, 'dead_zone': LOST_VOLTAGE, 'current_offset': OFFSET}
+NODES = {
+    'lost_voltage': LOST_VOLTAGE,
+    'dead_zone': LOST_VOLTAGE,
+    'current_offset': OFFSET,
+    LOAD: LOAD_TORQUE,
+}
 """Context node that stands for a suspected effect, by the effect's name."""
 
 NOTHING_ADDED = 'nothing in the data speaks for any'
@@ -80,9 +86,11 @@ class OpenForms:
         return len(self.sources) > 1 or bool(self.effects)
 
     def contains(self, kind: FormKind) -> bool:
-        """Tell whether a form is one of these, and adds no effect twice."""
+        """Tell whether a form is one of these, and adds no effect twice or where it cannot act."""
         effects = kind.effects
         is_known = kind.source in self.sources and all(node in self.effects for node in effects)
+        if kind.source != ROTOR and any(node in OF_A_ROTOR for node in effects):
+            return False
         return is_known and len(set(effects)) == len(effects)
 
 
@@ -239,23 +247,29 @@ class FormChoice:
         for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)
             if node is not None and node not in self.kind.effects:
-                instead = self.kind.without(TWINS[node]).with_effect(node)
+                instead = self.kind.without(TWINS.get(node, '')).with_effect(node)
                 kinds += [instead, self.kind.with_effect(node)]
             elif suspect.effect == ROTOR and plain is not None:
-                kinds += self._with_rotor(plain)
+                kinds += self._with_rotor(plain, fit)
+        if self.kind.source == ROTOR:  # most shafts carry one
+            kinds.append(self.kind.with_effect(LOAD_TORQUE))
         if plain is not None:
             kinds.append(plain)
         different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
         return tuple(different)[:MOST_CANDIDATES]
 
-    def _with_rotor(self, plain: FormKind) -> list[FormKind]:
-        """Return a rotor, and one whose driver loses voltage where that alone has failed before.
+    def _with_rotor(self, plain: FormKind, fit: FitAssessment) -> list[FormKind]:
+        """Return a rotor, and one with a load or a lost voltage where that alone has failed before.
 
-        What a speed of Kt i suspects beside a rotor tells little of the rotor.
+        What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of the
+        two is tried first. They take turns, for a fit of a rotor costs most.
         """
         if plain.source != ROTOR or not self._trials:
             return [plain]
-        return [plain, plain.with_effect(LOST_VOLTAGE)]
+        others = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
+        is_lossy = bool(others) and NODES.get(others[0]) == LOST_VOLTAGE
+        in_turn = (LOST_VOLTAGE, LOAD_TORQUE) if is_lossy else (LOAD_TORQUE, LOST_VOLTAGE)
+        return [plain, plain.with_effect(in_turn[(self._trials - 1) % len(in_turn)])]
 
     def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int

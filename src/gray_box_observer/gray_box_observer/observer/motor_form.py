@@ -20,7 +20,7 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
-from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
+from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
@@ -36,8 +36,11 @@ THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-EFFECT_NODES = (LOST_VOLTAGE, OFFSET)
-"""Context nodes of the effects of driver and sensor that data may add."""
+EFFECT_NODES = (LOST_VOLTAGE, OFFSET, LOAD_TORQUE)
+"""Context nodes of the effects of driver, sensor and load that data may add."""
+
+OF_A_ROTOR = (LOAD_TORQUE,)
+"""Of these, what only a motor with a rotor may have."""
 
 _IN_WORDS = {
     THESIS: 'a speed of Kt i',
@@ -45,6 +48,7 @@ _IN_WORDS = {
     MEASURED: 'the measured speed',
     LOST_VOLTAGE: 'a lost voltage',
     OFFSET: 'an offset',
+    LOAD_TORQUE: 'a load',
 }
 
 WORK_A_SAMPLE = 8
@@ -57,7 +61,7 @@ class FormKind:
 
     Attributes:
         source: of its speed.
-        effects: of driver and sensor that were added, by their context nodes.
+        effects: of driver, sensor and load that were added, by their context nodes.
     """
 
     source: str

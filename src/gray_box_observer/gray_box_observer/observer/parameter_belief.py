@@ -62,7 +62,11 @@ class ParameterBelief:
         if motors == 1 and form.white_box.speed_measured:
             is_exact = bool(form.fit.configuration(0).values['stamps_exact'])
             self.level = LevelDoubt(form.white_box, stamps_exact=is_exact)
-        self._known_parts = form.white_box.known_parts
+        self._known_parts = (
+            nodes.published_known_parts
+            if isinstance(nodes, MeasuredSpeedUpdate)
+            else form.white_box.known_parts
+        )
         self._has_known_parts = bool(self._known_parts.any())
         self._places = np.arange(motors)
         self._kept_verdicts: Any = None  # of every motor, that the flags stand for; None: not known
@@ -100,7 +104,8 @@ class ParameterBelief:
         places = np.flatnonzero(self._known_parts).tolist()
         std, verdicts = estimate.std, [list(row) for row in estimate.verdicts]
         for row, motor in enumerate(self._places[motors].tolist()):
-            shares = self.context_nodes.voltage_shares(motor)[0]
+            electrical = self.context_nodes.voltage_shares(motor)[0]
+            shares = np.pad(electrical, (0, len(estimate.parameters) - electrical.size))
             for place in places:
                 if verdicts[row][place] is Verdict.IDENTIFIED:
                     verdicts[row][place] = self.context_nodes.verdict_rules.judge_signed(

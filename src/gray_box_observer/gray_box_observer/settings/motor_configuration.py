@@ -66,11 +66,7 @@ class MotorConfiguration:
             for name, parameter in KNOWN_PARAMETERS.items()
             if name not in nodes and self.values[parameter] != 0.0
         }
-        constants |= {
-            name: TERMS[name].known_part
-            for name in nodes
-            if name in TERMS and TERMS[name].known_part
-        }
+        constants |= self._known_parts(nodes)
         if mechanical:
             constants = {
                 name: value for name, value in constants.items() if not _is_mechanical(name)
@@ -105,7 +101,21 @@ class MotorConfiguration:
         return {
             name: self.values[parameter]
             for name, parameter in KNOWN_PARAMETERS.items()
-            if _is_mechanical(name) and name not in nodes and self.values[parameter] > 0.0
+            if _is_mechanical(name) and name not in nodes and self.values[parameter] != 0.0
+        }
+
+    @property
+    def known_mechanical_parts(self) -> dict[str, float]:
+        """What is known in part of the mechanical context nodes, by name."""
+        return self._known_parts(self.mechanical_nodes)
+
+    def _known_parts(self, nodes: Sequence[str]) -> dict[str, float]:
+        """Return what is known in part of context nodes that may have either sign, by name."""
+        torque_constant = float(self.values['torque_constant'])
+        return {
+            name: TERMS[name].known_part_of(torque_constant)
+            for name in nodes
+            if name in TERMS and TERMS[name].has_either_sign
         }
 
     def without_mechanics(self) -> MotorConfiguration:
@@ -183,18 +193,36 @@ class MotorConfiguration:
 
     def initial(self) -> list[float]:
         """Where identification starts, in the order of the context nodes, without known parts."""
-        return [
-            float(self.values[f'initial.{name}']) - TERMS[name].known_part
-            for name in self.values['context_nodes']
-        ]
+        return self.initial_of(self.values['context_nodes'])
+
+    def initial_of(self, nodes: Sequence[str]) -> list[float]:
+        """Return where identification of some nodes starts, without known parts."""
+        parts = self._known_parts(nodes)
+        return [float(self.values[f'initial.{name}']) - parts.get(name, 0.0) for name in nodes]
 
     def initial_relative_std(self) -> list[float]:
         """How well these are known, relative to them, in the same order; 0: nothing is said."""
+        return self.initial_relative_std_of(self.values['context_nodes'])
+
+    def initial_relative_std_of(self, nodes: Sequence[str]) -> list[float]:
+        """Return how well the starts of some nodes are known, relative to :meth:`initial_of`."""
         return [
-            float(self.values[f'initial_relative_std.{name}'])
-            or (OFFSET_STD if TERMS[name].known_part else 0.0)
-            for name in self.values['context_nodes']
+            self._signed_relative_std(name)
+            if TERMS[name].has_either_sign
+            else float(self.values[f'initial_relative_std.{name}'])
+            for name in nodes
         ]
+
+    def _signed_relative_std(self, name: str) -> float:
+        """Return how well the start of a node of either sign is known, without its known part.
+
+        What is stated is relative to the value itself; of a start at zero, to the largest value.
+        """
+        relative_std = float(self.values[f'initial_relative_std.{name}'])
+        value, part = float(self.values[f'initial.{name}']), self._known_parts([name])[name]
+        if value and relative_std:
+            return max(relative_std * abs(value) / (value - part), SMALLEST_RELATIVE_STD)
+        return relative_std or OFFSET_STD
 
 
 def expanded(names: Any) -> Any:
@@ -277,6 +305,7 @@ def _motor(
                 f'{SMALLEST_RELATIVE_STD:g}, got '
                 f'{std:g}: take a constant that is known for certain out of context_nodes'
             )
+    _check_starts(motor)
     limits_v = values['voltage_limits']
     if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
         raise ConfigurationError(
@@ -325,6 +354,19 @@ def _check_rotor(motor: MotorConfiguration) -> None:
         raise ConfigurationError(
             f'motor {name}: speed_source is rotor, so {name}.back_emf_constant must be positive'
         )
+
+
+def _check_starts(motor: MotorConfiguration) -> None:
+    """Refuse a start beyond the range of a parameter that may have either sign."""
+    nodes = [name for name in motor.values['context_nodes'] if name in TERMS]
+    for node, start in zip(nodes, motor.initial_of(nodes), strict=True):
+        term, value = TERMS[node], motor.values[f'initial.{node}']
+        largest = -term.known_part_of(float(motor.values['torque_constant']))
+        if term.has_either_sign and not 0.0 < start < 2.0 * largest:
+            raise ConfigurationError(
+                f'parameter {motor.name}.initial.{node} must lie between {-largest:g} and '
+                f'{largest:g} {term.parameter.unit}, got {value:g}'
+            )
 
 
 def _is_mechanical(name: str) -> bool:

@@ -323,7 +323,7 @@ def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
                 'among context_nodes.'
             )
             name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
-            lower = -upper if term.known_part else 0.0
+            lower = -upper if term.has_either_sign else 0.0
             yield ParameterSpec(name, term.known_value, description, lower, upper)
 
 
@@ -366,8 +366,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'effects',
         'auto',
-        'Effects of driver and sensor (brush_drop, voltage_offset): auto adds them to '
-        'context_nodes where the data show them; none never does.',
+        'Effects of driver and sensor (brush_drop, voltage_offset), and of a rotor its load '
+        '(load_torque): auto adds them to context_nodes where the data show them; none never does.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(
@@ -400,10 +400,10 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     *(
         ParameterSpec(
             f'initial.{term.parameter.name}',
-            term.parameter.initial + term.known_part,
+            0.0 if term.has_either_sign else term.parameter.initial,
             f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
-            term.parameter.lower + term.known_part,
-            term.parameter.upper + term.known_part,
+            -term.parameter.upper if term.has_either_sign else term.parameter.lower,
+            term.parameter.upper,
         )
         for term in TERMS.values()
     ),

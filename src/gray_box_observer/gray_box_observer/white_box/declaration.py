@@ -61,7 +61,8 @@ class Term:
         known_value: what that is unless it is stated; 0 leaves the effect out.
         known_upper: the largest that it may be; ``None``: as for the coefficient.
         known_part: what is known of the coefficient though it is among the context nodes; the
-            unknown rest is positive. Negative for a coefficient that may have either sign.
+            unknown rest is positive. Negative for a coefficient that may have either sign. Of a
+            torque it is that of so many amperes.
     """
 
     parameter: Parameter
@@ -72,6 +73,19 @@ class Term:
     known_value: float = 0.0
     known_upper: float | None = None
     known_part: float = 0.0
+
+    @property
+    def has_either_sign(self) -> bool:
+        """Whether the coefficient may be negative."""
+        return self.known_part < 0.0
+
+    def known_part_of(self, torque_constant: float) -> float:
+        """Return what is known of the coefficient of a motor, in its unit.
+
+        Args:
+            torque_constant: Kt of the motor, in N m/A.
+        """
+        return self.known_part * (torque_constant if self.state is State.SPEED else 1.0)
 
 
 _DECLARED = (
@@ -177,10 +191,11 @@ _DECLARED = (
     ),
     Term(
         Parameter(
-            'load_torque', 'N m', 1e-3, 1e-10, 1e4, 'Load torque T_load, against positive speed.'
+            'load_torque', 'N m', 1.0, 1e-10, 1e6, 'Load torque T_load, against positive speed.'
         ),
         '1',
         State.SPEED,
+        known_part=-100.0,
     ),
 )
 

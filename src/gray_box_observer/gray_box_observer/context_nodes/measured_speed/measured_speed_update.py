@@ -152,7 +152,7 @@ class MeasuredSpeedUpdate:
         whole_box = MotorWhiteBox(
             (*white_box.context_nodes, *rotor.nodes),
             white_box.torque_constant,
-            {**white_box.known, **rotor.known_values},
+            {**white_box.known, **rotor.known_values, **rotor.known_parts},
         )
         self._outputs = OutputUpdate(
             whole_box,
@@ -266,6 +266,14 @@ class MeasuredSpeedUpdate:
         """Return what :meth:`with_mechanics` publishes."""
         rotor = () if self._mechanics is None else self._mechanics.nodes
         return (*self._white_box.parameters, *(TERMS[name].parameter for name in rotor))
+
+    @property
+    def published_known_parts(self) -> Array:
+        """What is known of each of them beside its estimate, shape (published parameter,)."""
+        if self._mechanics is None:
+            return self._white_box.known_parts
+        parts = [self._mechanics.known_parts.get(name, 0.0) for name in self._mechanics.nodes]
+        return np.concatenate([self._white_box.known_parts, parts])
 
     def with_mechanics(self, estimate: Estimate, *, is_believed: bool) -> Estimate:
         """Add the rotor's parameters to an estimate of the electrical ones.

@@ -26,15 +26,17 @@ class Mechanics:
 
     Attributes:
         nodes: parameters that are fitted, the inertia among them.
-        initial: where to start, SI units, one a node.
+        initial: where to start, SI units, one a node, without known parts.
         initial_relative_std: how well that is known, one a node; 0: nothing is stated.
         known_values: parameters that are known instead, by name.
+        known_parts: what is known of nodes that may have either sign, by name.
     """
 
     nodes: tuple[str, ...]
     initial: Sequence[float]
     initial_relative_std: Sequence[float]
     known_values: Mapping[str, float] = field(default_factory=dict)
+    known_parts: Mapping[str, float] = field(default_factory=dict)
 
 
 def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) -> Array:

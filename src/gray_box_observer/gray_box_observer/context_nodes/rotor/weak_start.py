@@ -1,7 +1,8 @@
 """Where a fit of the whole motor begins without any guess: weak-form linear least squares.
 
 With the back-EMF eliminated the motor is ``L i'' + (R + L b) i' + (R b + a) i = V' + b V + c
-sign(e)``, ``a = Kb Kt / J``, ``b = B / J``, ``c = Kb T_c / J`` (docs/METHOD.md, The whole motor).
+sign(e)``, ``a = Kb Kt / J``, ``b = B / J``, ``c = Kb T_c / J`` (docs/METHOD.md, The whole motor). A
+load adds ``d = Kb T_load / J`` on the right.
 Multiplied by a triangle and integrated by parts, no noisy signal is differentiated: left are
 second differences of a signal's integrals at the triangle's corners.
 """
@@ -27,6 +28,8 @@ LEAST_FRICTION = 0.02
 """Share of the largest torque, and of that over the largest speed, at which a friction that is not
 seen begins: from nothing no search would find its way."""
 
+LOAD = 'load_torque'
+
 SLOWEST = 0.02
 """Least b, as a share of a / R: friction that is not seen is taken for little."""
 
@@ -38,15 +41,16 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
         white_box: of one motor with a rotor.
         window: the samples.
     """
+    has_load = LOAD in white_box.context_nodes
     with np.errstate(all='ignore'):
         for width in WIDTHS:
-            solution = _solved(window, width)
+            solution = _solved(window, width, has_load=has_load)
             if solution is not None and np.isfinite(solution).all():
                 yield _nodes(white_box, solution, window)
 
 
-def _solved(window: Window, width: int) -> Array | None:
-    """Return (L, R, a, b, c); None where the samples are too few or tell nothing."""
+def _solved(window: Window, width: int, *, has_load: bool) -> Array | None:
+    """Return (L, R, a, b, c, d); None where the samples are too few or tell nothing."""
     resistance = None
     solution = None
     for _ in range(2):  # the sign of the back-EMF needs a resistance
@@ -57,7 +61,7 @@ def _solved(window: Window, width: int) -> Array | None:
         ]
         if not rows or sum(row.shape[0] for row in rows) < 16:
             return None
-        solution = _positive(np.concatenate(rows))
+        solution = _positive(np.concatenate(rows), has_load=has_load)
         if solution is None:
             return None
         resistance = float(solution[1])
@@ -65,7 +69,7 @@ def _solved(window: Window, width: int) -> Array | None:
 
 
 def _rows(history: History, width: int, resistance: float | None) -> Array:
-    """One row a triangle: what multiplies L, R + L b, R b + a, -b and -c, and the right side."""
+    """One row a triangle: what multiplies L, R + L b, R b + a, -b, -c and -d, and the right."""
     time_s = np.concatenate([[0.0], np.cumsum(history.interval_s)])
     current, volt = history.current_a, history.voltage_v
     once = _integral(0.5 * (current[1:] + current[:-1]), history)
@@ -86,7 +90,7 @@ def _rows(history: History, width: int, resistance: float | None) -> Array:
         result: Array = (before - middle) / left + (after - middle) / right
         return result
 
-    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once)
+    signals = (current, once, twice, -volt_twice, -sign_twice, -0.5 * time_s**2, volt_once)
     return np.stack([corners(signal) for signal in signals], axis=1)
 
 
@@ -102,18 +106,19 @@ def _twice(current: Array, once: Array, history: History) -> Array:
     return _integral(inside, history)
 
 
-def _positive(rows: Array) -> Array | None:
-    """Solve for (L, R, a, b, c), without friction where it comes out negative."""
+def _positive(rows: Array, *, has_load: bool) -> Array | None:
+    """Solve for (L, R, a, b, c, d), without friction where it comes out negative."""
     *_, right = rows.T
-    for columns in ((0, 1, 2, 3, 4), (0, 1, 2, 4), (0, 1, 2, 3), (0, 1, 2)):
+    for friction in ((3, 4), (4,), (3,), ()):
+        columns = (0, 1, 2, *friction, *((5,) if has_load else ()))
         selection = rows[:, columns]
         size = np.linalg.norm(selection, axis=0)
         is_present = size > 0.0
-        answer = np.zeros(5)
+        answer = np.zeros(6)
         columns_of_unit_size = selection[:, is_present] / size[is_present]
         solution = np.linalg.lstsq(columns_of_unit_size, right, rcond=1e-9)[0]
         answer[np.array(columns)[is_present]] = solution / size[is_present]
-        inductance, slope, level, viscous, dry = answer
+        inductance, slope, level, viscous, dry, load = answer
         if level <= 0.0 or slope <= 0.0:
             continue
         if viscous < 0.0 or dry < 0.0:
@@ -123,13 +128,13 @@ def _positive(rows: Array) -> Array | None:
         resistance = max(resistance, LEAST_SHARE * slope)
         coupling = max(level - resistance * viscous, LEAST_SHARE * level)
         viscous = max(viscous, SLOWEST * coupling / resistance)
-        return np.array([inductance, resistance, coupling, viscous, dry])
+        return np.array([inductance, resistance, coupling, viscous, dry, load])
     return None
 
 
 def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
-    """Turn (L, R, a, b, c) into context nodes within bounds; others keep initial values."""
-    inductance, resistance, coupling, viscous, dry = solution.tolist()
+    """Turn (L, R, a, b, c, d) into context nodes within bounds; others begin as good as zero."""
+    inductance, resistance, coupling, viscous, dry, load = solution.tolist()
     back_emf = float(white_box.known['back_emf_constant'])
     torque_constant = float(white_box.torque_constant)
     inertia = back_emf * torque_constant / coupling
@@ -141,7 +146,10 @@ def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
         'inertia': inertia,
         'viscous_friction': max(viscous * inertia, slowest),
         'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
+        LOAD: float(np.clip(load * inertia / back_emf, -torque, torque)),
     }
-    result = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
+    nothing = np.where(white_box.known_parts, 0.0, [p.lower for p in white_box.parameters])
+    values_or_nothing = [values.get(p.name, nothing[j]) for j, p in enumerate(white_box.parameters)]
+    result = np.array(values_or_nothing) - white_box.known_parts
     lower, upper = bounds(white_box.parameters)
     return np.asarray(np.clip(result, 1.01 * lower, 0.99 * upper), dtype=float)
