@@ -134,3 +134,13 @@ def test_a_stated_offset_of_zero_is_no_data_sheet_to_be_far_from() -> None:
         observer.torque('motor', stamp, float(record.torque_nm[0, k]), speed)
     assert not observer.incidents
     assert np.isfinite(observer.estimates()['motor'].value).all()
+
+
+@pytest.mark.slow
+def test_beside_a_load_a_lost_voltage_is_doubted_as_ever() -> None:
+    plant = replace(LIFTING, coulomb_friction=0.03, brush_drop=0.6)
+    record = recorded(plant, 'R[8,10]D[0.02,0.2]', 3.0, 2)
+    nodes = {'motor.context_nodes': [*NODES, 'brush_drop']}
+    motor = observed(record, **{**LOADED, **nodes}).motors['motor']
+    assert told(motor, 'brush_drop')[2] is not Verdict.IDENTIFIED
+    assert told(motor, 'load_torque')[2] is not Verdict.IDENTIFIED

@@ -40,13 +40,21 @@ def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float)
         Shape (twin, parameter): a row for every twin that explains the data as well.
     """
     names = [parameter.name for parameter in white_box.parameters]
-    if white_box.has_rotor and LOAD_TORQUE in names:
-        return _load_shifts(white_box, run, theta, noise_a)
     terms = {*names, *white_box.given}
     questions = [name for name in names if name in TWINS and TWINS[name] not in terms]
-    if not questions:
-        return np.empty((0, len(names)))
-    own = names.index(questions[0])
+    shifts = [
+        *(_voltage_shifts(white_box, run, theta, noise_a, name) for name in questions[:1]),
+        *(_load_shifts(white_box, run, theta, noise_a) for name in names if name == LOAD_TORQUE),
+    ]
+    return np.concatenate([np.empty((0, len(names))), *shifts])
+
+
+def _voltage_shifts(
+    white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float, name: str
+) -> Array:
+    """Return the shifts where the twin of a voltage takes its place."""
+    names = [parameter.name for parameter in white_box.parameters]
+    own = names.index(name)
     current_a = interval_means(run.current_a)
     shapes = {
         LOST_VOLTAGE: np.asarray(forms.EFFECTS[LOST_VOLTAGE].value(current_a, 0.0, 0.0)),
