@@ -43,7 +43,9 @@ from demo_sources import (
 from gray_box_observer.safe_io.printable import printable
 
 ROOT = Path(__file__).resolve().parent.parent
-SETTLE_PATIENCE_S = 20.0
+SETTLE_PATIENCE_S = 60.0
+REPEATS_WITH_MISSING = 5
+"""Equal reports after which samples that have not arrived count as lost."""
 LINE_INTERVAL_S = 5.0
 POLL_S = 0.1
 
@@ -228,19 +230,22 @@ def follow(children: Children, watch: Any, source: Source, page: Page | None) ->
     children.require_done(source.name)
 
 
-def settle(children: Children, watch: Any) -> None:
-    """Let the observer use what is on its way: until two reports count the same samples."""
+def settle(children: Children, watch: Any, source: Source) -> None:
+    """Let the observer use what is on its way: until its reports count the same samples."""
     deadline_s = time.monotonic() + SETTLE_PATIENCE_S
-    reports, counted = watch.diagnostics_count, -1
+    reports, counted, repeats = watch.diagnostics_count, -1, 0
     while time.monotonic() < deadline_s:
         children.require_alive('observer', 'recorder')
         watch.update(POLL_S)
-        if watch.diagnostics_count > reports:
-            account = watch.account()
-            used = 0 if account is None else account.used
-            reports, before, counted = watch.diagnostics_count, counted, used
-            if counted == before:
-                return
+        if watch.diagnostics_count == reports:
+            continue
+        account = watch.account()
+        used, arrived = (0, 0) if account is None else (account.used, account.arrived)
+        repeats = repeats + 1 if used == counted else 0
+        reports, counted = watch.diagnostics_count, used
+        are_some_missing = source.samples is not None and arrived < source.samples
+        if repeats >= (REPEATS_WITH_MISSING if are_some_missing else 1):
+            return
 
 
 def shown(path: Path) -> str:
@@ -312,7 +317,7 @@ def run_demo(options: argparse.Namespace) -> None:
         )
         children.start(source.name, source.command)
         follow(children, watch, source, None if options.no_dashboard else Page(children, source))
-        settle(children, watch)
+        settle(children, watch, source)
         for name in ('observer', 'recorder'):
             children.stop(name)
             children.require_done(name)

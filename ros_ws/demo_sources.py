@@ -14,6 +14,10 @@ FIRST_GUESS_FACTOR = 3.0
 READERS_OF_TORQUE = 2
 """Observer and recorder; the source waits for both, so that neither misses the first sample."""
 START_PATIENCE_S = 60.0
+USUAL_RATE_HZ = 100.0
+"""Of the simulator, where a motor says no other."""
+HISTORY_S = 60.0
+"""So much of both signals may wait on its way, so that a busy machine loses nothing of a run."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,7 @@ class Source:
         name: what it is called in messages.
         command: how it is started.
         duration_s: how long it takes.
+        samples: torques that it publishes; None where that is not known.
         params: the observer's parameter file; None for its defaults.
         truth: file of the true parameters, where they are known.
         record_all: whether the recorder cannot know the topics by their names.
@@ -91,6 +96,7 @@ class Source:
     name: str
     command: tuple[str | Path, ...]
     duration_s: float
+    samples: int | None
     params: Path | None
     truth: Path | None
     record_all: bool
@@ -121,8 +127,11 @@ def simulator(
     truth.write_text(
         yaml.safe_dump({'motors': {'motor': dict(motor.truth)}}, sort_keys=False), encoding='utf-8'
     )
+    rate_hz = motor.node.get('sample_rate_hz', USUAL_RATE_HZ)
     parameters = {
         **motor.node,
+        'sample_rate_hz': rate_hz,
+        **_history('publisher', rate_hz),
         'excitation': excitation or motor.excitation,
         'duration_s': duration_s,
         'seed': seed,
@@ -138,10 +147,20 @@ def simulator(
             known['initial'] = {
                 name: motor.guess_factor * value for name, value in motor.truth.items()
             }
-        params = write_parameters(run / 'observer.yaml', {'motors': ['motor'], 'motor': known})
+        observed = {'motors': ['motor'], 'motor': known, **_history('subscription', rate_hz)}
+        params = write_parameters(run / 'observer.yaml', observed)
     file = write_parameters(run / 'simulator.yaml', parameters)
     command = (executable('dc_motor_sim', 'motor_sim'), '--ros-args', '--params-file', file)
-    return Source('simulator', command, duration_s, params, truth, record_all=False)
+    samples = round(duration_s * rate_hz)
+    return Source('simulator', command, duration_s, samples, params, truth, record_all=False)
+
+
+def _history(end: str, rate_hz: float) -> dict[str, int]:
+    """Return the parameters that make one end of both signals keep a minute of them."""
+    return {
+        f'qos_overrides./motor/{signal}.{end}.depth': round(HISTORY_S * rate_hz)
+        for signal in ('voltage', 'torque')
+    }
 
 
 def _noise(motor: DemoMotor, fraction: float) -> dict[str, float]:
@@ -192,7 +211,7 @@ def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
     }
     file = write_parameters(run / 'player.yaml', parameters)
     command = (executable('gray_box_observer', 'player'), '--ros-args', '--params-file', file)
-    return Source('player', command, duration_s, params, find_truth(bag), record_all=True)
+    return Source('player', command, duration_s, None, params, find_truth(bag), record_all=True)
 
 
 def executable(package: str, name: str) -> Path:

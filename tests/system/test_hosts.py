@@ -32,7 +32,7 @@ DEPTH = 2 * COUNT
 """More than the whole run: whatever the network and the load of the machine do, no history is ever
 overwritten."""
 
-PATIENCE_S = 60.0 + 2.0 * DURATION_S
+PATIENCE_S = 180.0 + 2.0 * DURATION_S
 DOMAIN = '1'
 """Any will do: the network is the test's own."""
 
