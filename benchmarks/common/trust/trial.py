@@ -295,7 +295,8 @@ def _voltage_share(record: Record, parameter: str, true: float) -> float:
         'voltage_offset': np.ones_like(log.current_a),
         'inductance': np.gradient(log.current_a) * record.scenario.rate_hz,
         'coulomb_friction': np.sign(speed) * opposes,
+        'load_torque': np.full_like(log.current_a, opposes),
         'viscous_friction': speed * opposes,
     }
     voltage = float(np.sqrt(np.mean(log.voltage_v**2)))
-    return true * float(np.sqrt(np.mean(signals[parameter] ** 2))) / max(voltage, 1e-12)
+    return abs(true) * float(np.sqrt(np.mean(signals[parameter] ** 2))) / max(voltage, 1e-12)
