@@ -27,9 +27,6 @@ with the square of the speed."""
 SPEED_NOISE = 0.002
 """Standard deviation of the noise of a measured speed, over that of the speed."""
 
-BREAKAWAY_RAD = 0.005
-"""Angle of the motor's shaft by which friction gives way before it breaks."""
-
 STRIBECK_SHARE = 0.01
 """Speed at which friction has lost most of what it had at rest, over the no-load speed."""
 
@@ -50,6 +47,7 @@ class Joint:
         motor: without hysteresis and without a drop at the brushes.
         supply_v: the largest voltage.
         load: one of :data:`LOADS`.
+        give_rad: angle of the motor's shaft by which friction gives before it breaks.
         static_friction: torque that breaks the friction over that which keeps it moving.
         load_torque_nm: of a constant load; the largest of gravity.
         fan_nm_s2: of a fan, in N m s2/rad2.
@@ -58,6 +56,7 @@ class Joint:
     motor: Motor
     supply_v: float
     load: str
+    give_rad: float
     static_friction: float
     load_torque_nm: float
     fan_nm_s2: float
@@ -117,6 +116,7 @@ def draw_joint(rng: np.random.Generator) -> Joint:
         motor,
         supply_v,
         load,
+        _log_uniform(rng, 0.5e-3, 10e-3),
         static_friction,
         shares.get(load, 0.0) * stall_nm,
         fan if load == 'fan' else 0.0,
@@ -200,7 +200,7 @@ class BristleFriction:
         self._sliding_nm = joint.motor.coulomb_friction
         self._more_nm = (joint.static_friction - 1.0) * self._sliding_nm
         self._stribeck_rad_s = STRIBECK_SHARE * joint.no_load_speed_rad_s
-        self._stiffness = self._sliding_nm / BREAKAWAY_RAD
+        self._stiffness = self._sliding_nm / joint.give_rad
         self._damping = math.sqrt(self._stiffness * joint.motor.inertia)
         self._step_s = step_s
         self._bend_rad = 0.0

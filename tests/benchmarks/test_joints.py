@@ -8,7 +8,6 @@ import joints
 import numpy as np
 import pytest
 from common.joints import (
-    BREAKAWAY_RAD,
     BristleFriction,
     Conditions,
     Joint,
@@ -51,7 +50,7 @@ def test_friction_holds_a_shaft_until_it_breaks(share: float, moves: bool) -> No
         speed_rad_s += step_s * (pull_nm - friction.torque(speed_rad_s)) / joint.motor.inertia
         friction.move(speed_rad_s)
         angle_rad += step_s * speed_rad_s
-    assert (angle_rad > 100.0 * BREAKAWAY_RAD) == moves
+    assert (angle_rad > 100.0 * joint.give_rad) == moves
     if not moves:
         assert abs(speed_rad_s) < 1e-6 * joint.no_load_speed_rad_s
 

@@ -94,6 +94,21 @@ def test_without_dry_friction_a_load_may_be_an_offset_and_is_not_believed() -> N
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('coulomb_friction', [6e-4, 3e-4])
+def test_little_dry_friction_does_not_tell_a_load_from_an_offset(coulomb_friction: float) -> None:
+    plant = replace(LIFTING, coulomb_friction=coulomb_friction)
+    motor = observed(recorded(plant, LIVELY, 2.0, 2), **LOADED).motors['motor']
+    assert motor.fit.verdict is FitVerdict.OK
+    _, std, verdict = told(motor, 'load_torque')
+    assert verdict is Verdict.CONVERGING
+    assert 0.9 * plant.load_torque < std < 2.0 * plant.load_torque
+    for name in ('inductance', 'resistance'):
+        value, std, verdict = told(motor, name)
+        assert verdict is Verdict.IDENTIFIED
+        assert abs(value - getattr(plant, name)) < max(4.0 * std, 0.005 * value)
+
+
+@pytest.mark.slow
 def test_an_offset_of_the_current_sensor_is_no_load_that_is_believed() -> None:
     record = recorded(GEAR_MOTOR, LIVELY, 6.0, 2)
     offset = replace(record, torque_nm=record.torque_nm + 3e-3)
@@ -113,6 +128,29 @@ def test_a_start_beyond_the_range_is_refused() -> None:
     for start in (-2.0, 2.0, 5.0):
         with pytest.raises(ConfigurationError, match='must lie between -2 and 2 N m'):
             Configuration.from_flat({**CONSTANTS, **LOADED, 'motor.initial.load_torque': start})
+
+
+def test_a_start_of_what_data_may_add_is_held_to_its_range_too() -> None:
+    with pytest.raises(ConfigurationError, match='voltage_offset must lie between -5 and 5 V'):
+        Configuration.from_flat({**CONSTANTS, 'motor.initial.voltage_offset': -7.0})
+
+
+def test_a_doubt_about_kt_is_relative_to_the_load_itself() -> None:
+    measured = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
+    record, torque_constant = recorded(LIFTING, LIVELY, 2.0, 2), CONSTANTS['motor.torque_constant']
+    stds = []
+    for doubt in (0.0, 0.005):
+        values = {**CONSTANTS, **measured, 'motor.torque_constant_relative_std': doubt}
+        observer = Observer(Configuration.from_flat({**values, 'torque.quantity': 'current'}))
+        current_a = record.torque_nm[0] / float(torque_constant)
+        signals = (record.voltage_v[0], current_a, record.speed_rad_s[0])
+        for stamp, volt, current, speed in zip(record.stamp_ns, *signals, strict=True):
+            observer.voltage('motor', int(stamp), float(volt))
+            observer.torque('motor', int(stamp), float(current), float(speed))
+        value, std, _ = told(observer.motors['motor'], 'load_torque')
+        stds.append(std / abs(value))
+    assert stds[0] < 0.002
+    assert stds[1] == pytest.approx(0.005, rel=0.2)
 
 
 def test_what_is_stated_of_a_load_is_relative_to_it() -> None:

@@ -23,7 +23,7 @@ from gray_box_observer.white_box.interface import Array
 
 FORMAT = 'gray_box_observer checkpoint'
 
-VERSION = 7
+VERSION = 8
 
 MARKS = (f'"format":"{FORMAT}"'.encode(), rb'"content":"{\"context_update\":')
 """One of these stands at the beginning of every checkpoint; inside a text of another file it would

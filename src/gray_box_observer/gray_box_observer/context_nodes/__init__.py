@@ -5,6 +5,7 @@ from gray_box_observer.context_nodes.gradient import GradientSettings, GradientU
 from gray_box_observer.context_nodes.measured_speed.measured_speed_update import (
     MeasuredSpeedUpdate,
     can_be_output,
+    published_known_parts,
 )
 from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
@@ -25,4 +26,5 @@ __all__ = [
     'Verdict',
     'VerdictSettings',
     'can_be_output',
+    'published_known_parts',
 ]

@@ -92,6 +92,24 @@ class FreeRun:
         rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
         return rows
 
+    def explain(self, response_a: Array, columns: Array) -> tuple[Array, Array]:
+        """Explain a response by columns, and by where the run begins, as well as they can.
+
+        Args:
+            response_a: shape (k + 1,): of the current.
+            columns: shape (k + 1, column).
+
+        Returns:
+            How much of each column, shape (column,), and what is left over, shape (k + 1,). That
+            has the root of the samples' weight.
+        """
+        root = np.sqrt(self.weight)
+        both = np.column_stack([columns, self.jacobian[:, 0], *self.further]) * root[:, None]
+        target = response_a * root
+        scale = np.linalg.norm(both, axis=0) + 1e-300
+        amounts = np.linalg.lstsq(both / scale, target, rcond=1e-9)[0] / scale
+        return amounts[: columns.shape[1]], target - both @ amounts
+
 
 def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     """Run the white box freely through a stretch.

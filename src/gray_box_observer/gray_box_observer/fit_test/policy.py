@@ -232,7 +232,7 @@ def judge(
         late += UNIFORM_STD if is_untold else share * UNIFORM_STD
     delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(delay_effect, delay_effect)
-    for unknown_shift in analysis.swap_shifts:
+    for unknown_shift in analysis.open_shifts:
         shift = np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())

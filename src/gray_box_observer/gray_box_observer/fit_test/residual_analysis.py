@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.presliding import presliding_shifts
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
@@ -112,8 +113,9 @@ class ResidualAnalysis:
             large in steep parts of the current as in flat ones.
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
-        swap_shifts: shape (twin, parameter): by how much the logarithms of the parameters would
-            move with each effect that looks like one of the white box.
+        open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
+            be off, each by what these samples do not tell: which of two twins it is, and by what
+            angle a resting shaft gives.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
     """
@@ -129,7 +131,7 @@ class ResidualAnalysis:
     intervals: float
     jitter: float
     moving_noise_a: float
-    swap_shifts: Array
+    open_shifts: Array
     persistence: float
 
 
@@ -190,6 +192,7 @@ def analyse(
     is_coloured = white_box.has_rotor and whiteness > COLOURED_ROTOR
     robust = projection.robust_std() if whiteness > COLOURED else np.full(p.shape[1], np.nan)
     noise_a = max(size_a, floor_a)
+    theta = to_parameters(p)[0]
     delay_shift, delay_std = _delay_effect(run, projection, weight, noise_a)
     return ResidualAnalysis(
         samples=residual.size,
@@ -210,7 +213,9 @@ def analyse(
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
-        swap_shifts=swap_shifts(white_box, run, to_parameters(p)[0], noise_a),
+        open_shifts=np.concatenate(
+            [shifts(white_box, run, theta, noise_a) for shifts in (swap_shifts, presliding_shifts)]
+        ),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.white_box import forms
+from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 LOST_VOLTAGE, OFFSET, LOAD_TORQUE = 'brush_drop', 'voltage_offset', 'load_torque'
@@ -67,69 +68,53 @@ def _voltage_shifts(
     responses = run.response(-np.stack([amount_v * shapes[names[own]], *twins_v]))
     shifts = []
     for twin, response in enumerate(responses[1:]):
-        coordinates = _swapped(run, own, responses[0], response, noise_a)
-        if coordinates is None:
-            continue
         is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
-        own_shift = -amount_v / theta[own] if is_other else 0.0
-        shifts.append(_shift(coordinates, own, own_shift, leans=is_other))
+        own_shift = -amount_v / float(theta[own]) if is_other else 0.0
+        shift = _swapped(run, own, own_shift, (responses[0], response), noise_a)
+        if shift is not None:
+            shifts.append(shift)
     return np.array(shifts).reshape(-1, len(names))
 
 
 def _load_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float) -> Array:
-    """Return the shifts where an offset, of voltage or current, takes the place of a load."""
+    """Return the shift where an offset, of voltage or current, takes the place of a load."""
     names = [parameter.name for parameter in white_box.parameters]
     own = names.index(LOAD_TORQUE)
     relative = float(theta[own] + white_box.known_parts[own]) / float(theta[own])
     response = relative * run.jacobian[:, 1 + own]
-    by_voltage = run.response(-np.ones((1, run.current_a.size - 1)))[0]
-    shifts = []
-    for twin in (by_voltage, np.ones_like(run.current_a)):
-        coordinates = _swapped(run, own, response, twin, noise_a)
-        if coordinates is not None:
-            shifts.append(_shift(coordinates, own, -relative, leans=True))
-    return np.array(shifts).reshape(-1, len(names))
+    twins = [np.ones_like(run.current_a)]
+    if OFFSET not in {*names, *white_box.given}:
+        twins.append(run.response(-np.ones((1, run.current_a.size - 1)))[0])
+    rows = (_swapped(run, own, -relative, (response, twin), noise_a) for twin in twins)
+    shifts = sorted((shift for shift in rows if shift is not None), key=_size)
+    return np.array(shifts[-1:]).reshape(-1, len(names))
 
 
-def _swapped(run: FreeRun, own: int, response: Array, twin: Array, noise_a: float) -> Array | None:
-    """Return how the other coordinates move where a twin takes an effect's place.
+def _size(shift: Array) -> float:
+    return float(np.linalg.norm(shift))
+
+
+def _swapped(
+    run: FreeRun, own: int, own_shift: float, responses: tuple[Array, Array], noise_a: float
+) -> Array | None:
+    """Return how the logarithms of the parameters move where a twin takes an effect's place.
 
     Args:
         run: the free run.
         own: place of the effect among the parameters.
-        response: shape (k + 1,): of the current to the effect.
-        twin: likewise: to one unit of the twin.
+        own_shift: of its own logarithm; 0 where that does not lean on the choice.
+        responses: shape (k + 1,) each: of the current to the effect, and to one unit of the twin.
         noise_a: standard deviation of the residual.
 
     Returns:
-        Shape (parameter - 1,); None where the twin does not explain the data as well.
+        Shape (parameter,); None where the twin does not explain the data as well.
     """
-    weight = np.sqrt(run.weight)
-    others = np.delete(np.column_stack([run.jacobian, *run.further, twin]), 1 + own, axis=1)
-    columns, target = others * weight[:, None], response * weight
-    scale = np.linalg.norm(columns, axis=0) + 1e-300
-    weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0] / scale
-    rest = target - columns @ weights
+    response, twin = responses
+    others = np.delete(swapped_logarithms(run.jacobian[:, 1:]), own, axis=1)
+    amounts, rest = run.explain(response, np.column_stack([others, twin]))
     if not 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
         return None
-    result: Array = weights[1 : run.jacobian.shape[1] - 1]
-    return result
-
-
-def _shift(coordinates: Array, own: int, own_shift: float, *, leans: bool) -> Array:
-    """Return the shift of the logarithms of the parameters, shape (parameter,).
-
-    Args:
-        coordinates: shape (parameter - 1,): of the others' coordinates.
-        own: place of the effect among the parameters.
-        own_shift: of its own coordinate.
-        leans: whether its own value leans on the choice.
-    """
-    every_coordinate = np.insert(coordinates, own, own_shift)
-    shift: Array = every_coordinate - every_coordinate[0]
-    shift[0] = -every_coordinate[0]
-    if not leans:
-        shift[own] = 0.0
+    shift: Array = np.insert(amounts[:-1], own, own_shift)
     return shift
 
 

@@ -12,7 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, MeasuredSpeedUpdate
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    MeasuredSpeedUpdate,
+    published_known_parts,
+)
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
@@ -62,11 +67,7 @@ class ParameterBelief:
         if motors == 1 and form.white_box.speed_measured:
             is_exact = bool(form.fit.configuration(0).values['stamps_exact'])
             self.level = LevelDoubt(form.white_box, stamps_exact=is_exact)
-        self._known_parts = (
-            nodes.published_known_parts
-            if isinstance(nodes, MeasuredSpeedUpdate)
-            else form.white_box.known_parts
-        )
+        self._known_parts = published_known_parts(nodes, form.white_box)
         self._has_known_parts = bool(self._known_parts.any())
         self._places = np.arange(motors)
         self._kept_verdicts: Any = None  # of every motor, that the flags stand for; None: not known

@@ -12,7 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, Verdict, VerdictSettings
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    Verdict,
+    VerdictSettings,
+    published_known_parts,
+)
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
@@ -99,8 +105,7 @@ class ScaleDoubt:
         """Return how the values change with a relative change of the scale, shape (parameter,)."""
         exponents = np.array([gain.exponent(p.unit) for p in estimate.parameters], dtype=float)
         direction: Array = exponents * estimate.value[row]
-        parts = self._boxes[motor].known_parts
-        direction[: parts.size] += exponents[: parts.size] * parts
+        direction += exponents * published_known_parts(nodes, self._boxes[motor])
         if gain.of_known:
             share = self._known_share(nodes, motor)
             direction[: share.size] += gain.of_known * share

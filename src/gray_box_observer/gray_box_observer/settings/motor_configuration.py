@@ -357,12 +357,15 @@ def _check_rotor(motor: MotorConfiguration) -> None:
 
 
 def _check_starts(motor: MotorConfiguration) -> None:
-    """Refuse a start beyond the range of a parameter that may have either sign."""
-    nodes = [name for name in motor.values['context_nodes'] if name in TERMS]
+    """Refuse a start beyond the range of a parameter that may have either sign.
+
+    It need not be a context node: data may add it.
+    """
+    nodes = [name for name, term in TERMS.items() if term.has_either_sign]
     for node, start in zip(nodes, motor.initial_of(nodes), strict=True):
         term, value = TERMS[node], motor.values[f'initial.{node}']
         largest = -term.known_part_of(float(motor.values['torque_constant']))
-        if term.has_either_sign and not 0.0 < start < 2.0 * largest:
+        if not 0.0 < start < 2.0 * largest:
             raise ConfigurationError(
                 f'parameter {motor.name}.initial.{node} must lie between {-largest:g} and '
                 f'{largest:g} {term.parameter.unit}, got {value:g}'

@@ -40,7 +40,7 @@ from gray_box_observer.context_nodes.recursive.estimator_settings import Recursi
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
-from gray_box_observer.context_nodes.update_rule import learn_at_once
+from gray_box_observer.context_nodes.update_rule import ContextUpdate, learn_at_once
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
@@ -575,3 +575,15 @@ class MeasuredSpeedUpdate:
 def _interval_s(fit: OutputFit) -> float:
     """Return the usual time between the samples of a fit."""
     return float(median(fit.window.histories[-1].interval_s))
+
+
+def published_known_parts(nodes: ContextUpdate, white_box: MotorWhiteBox) -> Array:
+    """Return what is known of every published parameter beside its estimate, shape (parameter,).
+
+    Args:
+        nodes: the rule that has learnt one motor, perhaps with others.
+        white_box: of the motor.
+    """
+    if isinstance(nodes, MeasuredSpeedUpdate):
+        return nodes.published_known_parts
+    return white_box.known_parts
