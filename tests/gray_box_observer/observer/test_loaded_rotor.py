@@ -135,22 +135,39 @@ def test_a_start_of_what_data_may_add_is_held_to_its_range_too() -> None:
         Configuration.from_flat({**CONSTANTS, 'motor.initial.voltage_offset': -7.0})
 
 
+def measured(record: Recording, **values: object) -> MotorView:
+    """Return the motor of a record whose speed is measured."""
+    named = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **named, **values}))
+    signals = (record.voltage_v[0], record.torque_nm[0], record.speed_rad_s[0])
+    for stamp, volt, torque, speed in zip(record.stamp_ns, *signals, strict=True):
+        observer.voltage('motor', int(stamp), float(volt))
+        observer.torque('motor', int(stamp), float(torque), float(speed))
+    return observer.motors['motor']
+
+
 def test_a_doubt_about_kt_is_relative_to_the_load_itself() -> None:
-    measured = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
-    record, torque_constant = recorded(LIFTING, LIVELY, 2.0, 2), CONSTANTS['motor.torque_constant']
+    record, torque_constant = recorded(LIFTING, LIVELY, 2.0, 3), CONSTANTS['motor.torque_constant']
+    record = replace(record, torque_nm=record.torque_nm / torque_constant)
     stds = []
     for doubt in (0.0, 0.005):
-        values = {**CONSTANTS, **measured, 'motor.torque_constant_relative_std': doubt}
-        observer = Observer(Configuration.from_flat({**values, 'torque.quantity': 'current'}))
-        current_a = record.torque_nm[0] / float(torque_constant)
-        signals = (record.voltage_v[0], current_a, record.speed_rad_s[0])
-        for stamp, volt, current, speed in zip(record.stamp_ns, *signals, strict=True):
-            observer.voltage('motor', int(stamp), float(volt))
-            observer.torque('motor', int(stamp), float(current), float(speed))
-        value, std, _ = told(observer.motors['motor'], 'load_torque')
+        values = {'torque.quantity': 'current', 'motor.torque_constant_relative_std': doubt}
+        value, std, _ = told(measured(record, **values), 'load_torque')
         stds.append(std / abs(value))
     assert stds[0] < 0.002
     assert stds[1] == pytest.approx(0.005, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_speed_that_has_hardly_turned_shares_friction_and_load_with_nobody() -> None:
+    """A record whose fits stood at any share of both, and were sure of it."""
+    plant = replace(LIFTING, load_torque=0.0)
+    motor = measured(recorded(plant, LIVELY, 3.0, 2))
+    assert motor.fit.verdict is FitVerdict.OK
+    for name in ('coulomb_friction', 'load_torque'):
+        value, std, verdict = told(motor, name)
+        true = getattr(plant, name)
+        assert verdict is not Verdict.IDENTIFIED or abs(value - true) < 4.0 * std, name
 
 
 def test_what_is_stated_of_a_load_is_relative_to_it() -> None:
