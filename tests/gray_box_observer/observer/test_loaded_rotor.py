@@ -158,18 +158,6 @@ def test_a_doubt_about_kt_is_relative_to_the_load_itself() -> None:
     assert stds[1] == pytest.approx(0.005, rel=0.2)
 
 
-@pytest.mark.slow
-def test_a_speed_that_has_hardly_turned_shares_friction_and_load_with_nobody() -> None:
-    """A record whose fits stood at any share of both, and were sure of it."""
-    plant = replace(LIFTING, load_torque=0.0)
-    motor = measured(recorded(plant, LIVELY, 3.0, 2))
-    assert motor.fit.verdict is FitVerdict.OK
-    for name in ('coulomb_friction', 'load_torque'):
-        value, std, verdict = told(motor, name)
-        true = getattr(plant, name)
-        assert verdict is not Verdict.IDENTIFIED or abs(value - true) < 4.0 * std, name
-
-
 def test_what_is_stated_of_a_load_is_relative_to_it() -> None:
     stated = {'motor.initial.load_torque': -0.01, 'motor.initial_relative_std.load_torque': 0.5}
     configuration = Configuration.from_flat({**CONSTANTS, **LOADED, **stated})

@@ -217,24 +217,7 @@ def fit_outputs_again(
         walk_fit = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
-    starts = [before.theta, *_with_friction_alone(white_box, before.theta)]
-    return (yield from _settled(white_box, window, prior, starts, floor, before))
-
-
-def _with_friction_alone(white_box: MotorWhiteBox, theta: Array) -> list[Array]:
-    """Return a start with all of a load in the dry friction, where both are unknown.
-
-    A speed that keeps its sign tells the sum of both. Where it turns at last, a search that has
-    begun at another share of them does not find back.
-    """
-    nodes = white_box.context_nodes
-    if not {'load_torque', 'coulomb_friction'} <= set(nodes):
-        return []
-    load, friction = nodes.index('load_torque'), nodes.index('coulomb_friction')
-    start = theta.copy()
-    start[friction] += abs(theta[load] + white_box.known_parts[load])
-    start[load] = -white_box.known_parts[load]
-    return [start]
+    return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
 
 
 def _settled(
