@@ -108,7 +108,9 @@ class Robot:
         while not condition():
             for host, process in self._running.items():
                 assert not process.poll(), f'{host} ended with {process.poll()}: {self._said(host)}'
-            assert time.monotonic() < until_s, f'waited {PATIENCE_S} s for {what}'
+            assert time.monotonic() < until_s, (
+                f'waited {PATIENCE_S} s for {what}; the observer says {self.diagnostics()}'
+            )
             time.sleep(0.4)
 
     def recorded(self) -> int:
