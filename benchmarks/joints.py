@@ -65,7 +65,7 @@ def try_joint(seed: int) -> JointTrial:
 
 def rows(trials: Sequence[JointTrial]) -> list[list[str]]:
     """Return what came of the joints, load by load, as rows of the table."""
-    told = []
+    lines = []
     for has_speed in (True, False):
         for load in LOADS:
             own = [t for t in trials if (t.load, t.has_speed) == (load, has_speed)]
@@ -79,8 +79,8 @@ def rows(trials: Sequence[JointTrial]) -> list[list[str]]:
                 sum(t.is_false_on_the_way for t in own),
             ]
             speed = 'speed measured' if has_speed else 'no speed'
-            told.append([f'{speed}, load: {load}', *map(str, counts)])
-    return told
+            lines.append([f'{speed}, load: {load}', *map(str, counts)])
+    return lines
 
 
 def figures(trials: Sequence[JointTrial]) -> list[Figure]:

@@ -147,8 +147,8 @@ def simulator(
             known['initial'] = {
                 name: motor.guess_factor * value for name, value in motor.truth.items()
             }
-        observed = {'motors': ['motor'], 'motor': known, **_history('subscription', rate_hz)}
-        params = write_parameters(run / 'observer.yaml', observed)
+        observer = {'motors': ['motor'], 'motor': known, **_history('subscription', rate_hz)}
+        params = write_parameters(run / 'observer.yaml', observer)
     file = write_parameters(run / 'simulator.yaml', parameters)
     command = (executable('dc_motor_sim', 'motor_sim'), '--ros-args', '--params-file', file)
     samples = round(duration_s * rate_hz)

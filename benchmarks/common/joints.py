@@ -17,6 +17,7 @@ import numpy as np
 from common.motion import FloatArray
 from common.trust.effects import STAMP_0_NS, Readings
 from common.trust.excitations import constant
+from common.trust.motors import log_uniform
 from common.trust.plant import Motor
 from common.trust.records import Record, Scenario
 
@@ -92,8 +93,8 @@ class Conditions:
 
 def draw_joint(rng: np.random.Generator) -> Joint:
     """Draw a joint: R 0.5 to 8 ohm, L/R 0.8 to 4 ms, mechanical time 15 to 100 ms."""
-    resistance = _log_uniform(rng, 0.5, 8.0)
-    motor_constant = _log_uniform(rng, 0.01, 0.126)
+    resistance = log_uniform(rng, 0.5, 8.0)
+    motor_constant = log_uniform(rng, 0.01, 0.126)
     supply_v = float(rng.choice([12.0, 24.0]))
     stall_nm = motor_constant * supply_v / resistance
     no_load_rad_s = supply_v / motor_constant
@@ -103,12 +104,12 @@ def draw_joint(rng: np.random.Generator) -> Joint:
     static_friction = max(1.0, rng.uniform(0.6, 1.4))
     fan = rng.uniform(0.1, 0.3) * stall_nm / no_load_rad_s**2
     motor = Motor(
-        inductance=resistance * _log_uniform(rng, 0.8e-3, 4e-3),
+        inductance=resistance * log_uniform(rng, 0.8e-3, 4e-3),
         resistance=resistance,
         hysteresis=0.0,
         torque_constant=motor_constant,
         back_emf_constant=motor_constant,
-        inertia=_log_uniform(rng, 0.015, 0.1) * motor_constant**2 / resistance,
+        inertia=log_uniform(rng, 0.015, 0.1) * motor_constant**2 / resistance,
         viscous_friction=rng.uniform(0.0, 0.05) * stall_nm / no_load_rad_s,
         coulomb_friction=rng.uniform(0.01, 0.08) * stall_nm,
     )
@@ -116,7 +117,7 @@ def draw_joint(rng: np.random.Generator) -> Joint:
         motor,
         supply_v,
         load,
-        _log_uniform(rng, 0.5e-3, 10e-3),
+        log_uniform(rng, 0.5e-3, 10e-3),
         static_friction,
         shares.get(load, 0.0) * stall_nm,
         fan if load == 'fan' else 0.0,
@@ -152,9 +153,9 @@ class _Trapezoid:
             self._next_s = time_s + self._rng.uniform(0.3, 1.2)
         way_rad = self._target_rad - self.angle_rad
         braking = math.sqrt(2.0 * self._acceleration * abs(way_rad))
-        wanted = math.copysign(min(self.top_speed_rad_s, braking), way_rad)
+        goal_rad_s = math.copysign(min(self.top_speed_rad_s, braking), way_rad)
         change = self._acceleration * interval_s
-        self.speed_rad_s += max(-change, min(change, wanted - self.speed_rad_s))
+        self.speed_rad_s += max(-change, min(change, goal_rad_s - self.speed_rad_s))
         self.angle_rad += self.speed_rad_s * interval_s
 
 
@@ -296,7 +297,3 @@ def joint_record(seed: int) -> Record:
         truth['load_torque'] = joint.load_torque_nm
     readings = Readings(stamps, stamps, volt, measured_a, measured_rad_s)
     return Record(scenario, seed, readings, parameters, truth, truth)
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return math.exp(rng.uniform(math.log(low), math.log(high)))

@@ -14,11 +14,11 @@ SUPPLY_V = 12.0
 
 def gear_motor(rng: np.random.Generator) -> Motor:
     """Draw a small motor for 12 V with gears, brushes without drop, and no hysteresis."""
-    resistance = _log_uniform(rng, 0.5, 8.0)
-    constant = _log_uniform(rng, 0.008, 0.03)
-    mechanical_s = _log_uniform(rng, 0.015, 0.2)
+    resistance = log_uniform(rng, 0.5, 8.0)
+    constant = log_uniform(rng, 0.008, 0.03)
+    mechanical_s = log_uniform(rng, 0.015, 0.2)
     return Motor(
-        inductance=resistance * _log_uniform(rng, 0.8e-3, 4e-3),
+        inductance=resistance * log_uniform(rng, 0.8e-3, 4e-3),
         resistance=resistance,
         hysteresis=0.0,
         torque_constant=constant,
@@ -33,7 +33,7 @@ def steady_motor(rng: np.random.Generator) -> Motor:
     """Draw a geared motor with speed straight between samples within noise: 60 to 200 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
-    return replace(motor, inertia=_log_uniform(rng, 0.06, 0.2) * scale)
+    return replace(motor, inertia=log_uniform(rng, 0.06, 0.2) * scale)
 
 
 def hysteresis_motor(rng: np.random.Generator) -> Motor:
@@ -46,9 +46,9 @@ def hysteresis_motor(rng: np.random.Generator) -> Motor:
 def slow_motor(rng: np.random.Generator) -> Motor:
     """Draw a geared motor for slow sampling: L/R of 3 to 6 ms, mechanical time of 0.1 to 0.3 s."""
     motor = gear_motor(rng)
-    inductance = motor.resistance * _log_uniform(rng, 3e-3, 6e-3)
+    inductance = motor.resistance * log_uniform(rng, 3e-3, 6e-3)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
-    return replace(motor, inductance=inductance, inertia=_log_uniform(rng, 0.1, 0.3) * scale)
+    return replace(motor, inductance=inductance, inertia=log_uniform(rng, 0.1, 0.3) * scale)
 
 
 def strong_motor(rng: np.random.Generator) -> Motor:
@@ -69,13 +69,13 @@ def fast_motor(rng: np.random.Generator) -> Motor:
     """Draw a geared motor of 10 to 20 ms, with speed not straight between samples of 1 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
-    return replace(motor, inertia=_log_uniform(rng, 0.01, 0.02) * scale)
+    return replace(motor, inertia=log_uniform(rng, 0.01, 0.02) * scale)
 
 
 def sticky_motor(rng: np.random.Generator) -> Motor:
     """Draw a geared motor with viscous friction: its rotor follows the current in 5 to 20 ms."""
     motor = gear_motor(rng)
-    follows_s = _log_uniform(rng, 0.005, 0.02)
+    follows_s = log_uniform(rng, 0.005, 0.02)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     friction = scale * rng.uniform(3.0, 10.0)
     return replace(
@@ -90,7 +90,7 @@ def thesis_motor(rng: np.random.Generator) -> Motor:
 
 def thesis_like_motor(rng: np.random.Generator) -> Motor:
     """Draw a motor without rotor, each parameter within 1.5 times that of the thesis."""
-    factors = [_log_uniform(rng, 1.0 / 1.5, 1.5) for _ in range(3)]
+    factors = [log_uniform(rng, 1.0 / 1.5, 1.5) for _ in range(3)]
     return Motor(0.5 * factors[0], factors[1], 10.0 * factors[2], 0.01, 0.01)
 
 
@@ -103,5 +103,6 @@ def tiny_motor(inductance_h: float, resistance_ohm: float, mechanical_s: float =
     )
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))

@@ -57,8 +57,8 @@ def presliding_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: 
     amounts, rest = run.explain(response, slopes)
     own = rest / noise_a  # what the parameters cannot take over
     precision = float(own @ own) + GIVE_RAD**-2
-    told_rad = float(own @ (run.residual_a * np.sqrt(run.weight))) / noise_a / precision
-    shift: Array = math.hypot(told_rad, precision**-0.5) * amounts
+    angle_rad = float(own @ (run.residual_a * np.sqrt(run.weight))) / noise_a / precision
+    shift: Array = math.hypot(angle_rad, precision**-0.5) * amounts
     return shift[None]
 
 

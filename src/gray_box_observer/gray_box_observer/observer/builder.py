@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes import (
     RotorUpdate,
     VerdictSettings,
     can_be_output,
+    published_known_parts,
 )
 from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
@@ -271,10 +272,9 @@ def initial_estimate(configuration: Configuration, motor: MotorConfiguration) ->
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
     nodes = context_nodes(configuration, [motor], white_box)
     estimate = nodes.estimate()
-    if not isinstance(nodes, MeasuredSpeedUpdate):
-        return estimate.with_known_parts(white_box.known_parts)
-    estimate = nodes.with_mechanics(estimate, is_believed=True)
-    return estimate.with_known_parts(nodes.published_known_parts)
+    if isinstance(nodes, MeasuredSpeedUpdate):
+        estimate = nodes.with_mechanics(estimate, is_believed=True)
+    return estimate.with_known_parts(published_known_parts(nodes, white_box))
 
 
 def pairing_rules(configuration: Configuration) -> PairingSettings:
