@@ -19,8 +19,9 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
-from gray_box_observer.fit_test.presliding import presliding_shifts
+from gray_box_observer.fit_test.friction_doubts import FrictionDoubt, friction_doubts
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.speed_noise import speed_noise_shift
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -114,8 +115,8 @@ class ResidualAnalysis:
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
-            be off, each by what these samples do not tell: which of two twins it is, and by what
-            angle a resting shaft gives.
+            be off, each by what the residual does not show: which of two twins it is, noise of a
+            measured speed, and a friction that is not quite that of the white box.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
     """
@@ -214,7 +215,14 @@ def analyse(
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(
-            [shifts(white_box, run, theta, noise_a) for shifts in (swap_shifts, presliding_shifts)]
+            [
+                swap_shifts(white_box, run, theta, noise_a),
+                speed_noise_shift(white_box, run, theta),
+                *(
+                    projection.open_shift(doubt, weight, noise_a)
+                    for doubt in friction_doubts(white_box, run, theta)
+                ),
+            ]
         ),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
     )
@@ -333,6 +341,26 @@ class _Projection:
         """Return the response of the log-parameters to a misread signal, shape (parameter,)."""
         shift = self._solved(self._q.T @ signal) / self._scale
         return _of_parameters(shift[1 : self._unknowns])
+
+    def open_shift(self, doubt: FrictionDoubt, weight: Array, noise_a: float) -> Array:
+        """Return by how much a doubt leaves the log-parameters open, shape (1 or 0, parameter).
+
+        The parameters do not take over all of the response. The rest tells how much there is, with
+        what is likely beforehand.
+
+        Args:
+            doubt: in the friction.
+            weight: shape (sample,): roots of those of the samples.
+            noise_a: standard deviation of the residual.
+        """
+        response = doubt.response_a * weight
+        own = self.without(response) / noise_a
+        precision = float(own @ own) + 1.0
+        amount = float(own @ self.remainder) / noise_a / precision
+        std = precision**-0.5
+        if abs(amount) < doubt.least_stds * std:
+            return np.empty((0, self._unknowns - 1))
+        return math.hypot(amount, std) * self.shift(response)[None]
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""

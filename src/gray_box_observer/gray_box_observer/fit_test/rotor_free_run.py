@@ -17,6 +17,9 @@ from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+HELD = 1e-3
+"""Share of its speed that an interval leaves of a shaft that friction holds."""
+
 
 @dataclass(frozen=True, eq=False)
 class RotorFreeRun(FreeRun):
@@ -25,9 +28,11 @@ class RotorFreeRun(FreeRun):
     Attributes:
         transitions: shape (k, state, state): derivatives of every interval's end by its start; zero
             at a restart.
+        speed_rad_s: shape (k + 1,): of the run.
     """
 
     transitions: Array = field(default_factory=lambda: np.empty(0))
+    speed_rad_s: Array = field(default_factory=lambda: np.empty(0))
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the current answers small further voltages, the rotor with it.
@@ -48,6 +53,25 @@ class RotorFreeRun(FreeRun):
         )
         inputs = np.where(self.stretch.restart[0], 0.0, voltages_v).T
         return current_response(self.transitions, by_voltage, inputs).T
+
+    def torque_response(self, torques_nm: Array, inertia: float) -> Array:
+        """Return how the current answers small further torques; a held shaft answers none.
+
+        Args:
+            torques_nm: shape (torque, k): mean over every interval, that drives the shaft.
+            inertia: J of the run in kg m2.
+
+        Returns:
+            Shape (torque, k + 1), in A.
+        """
+        interval_s = self.stretch.interval_s[0]
+        by_speed = self.transitions[:, State.CURRENT, State.SPEED]
+        stays = np.clip(self.transitions[:, State.SPEED, State.SPEED], 1e-12, 1.0 - 1e-12)
+        reach_s = interval_s * (1.0 - stays) / -np.log(stays)
+        by_torque = np.stack([0.5 * interval_s * by_speed, reach_s], axis=1) / inertia
+        is_free = ~self.stretch.restart[0] & (stays >= HELD)
+        inputs = np.where(is_free, torques_nm, 0.0).T
+        return current_response(self.transitions, by_torque, inputs).T
 
 
 def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
@@ -82,6 +106,7 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
         np.ones_like(runs.residual_a),
         tuple(by_start[1:]),
         transitions,
+        np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
     )
 
 

@@ -1,0 +1,122 @@
+"""A torque that the white box has not: how the current answers, and what of it is left open."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from linear_motor_records import WHITE_BOX, Floats, Record, current_of, steps
+
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, run
+from gray_box_observer.fit_test.free_run import free_run
+from gray_box_observer.fit_test.friction_doubts import GIVE_RAD, friction_doubts
+from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
+
+SAMPLES, INTERVAL_S = 4000, 1e-3
+KT = KB = 0.02
+NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 8.4e-3])
+INERTIA = THETA[2]
+ROTOR = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
+
+
+def _moved(torque_nm: Floats, theta: Floats = THETA) -> Run:
+    voltage_v = steps(SAMPLES, 2)[:-1]
+    interval_s = np.full(voltage_v.size, INTERVAL_S)
+    limits = np.array([1e3, 1e6])
+    load_rad_s2 = -torque_nm / INERTIA
+    return run(
+        KT, coordinates(ROTOR, theta), np.zeros(2), voltage_v, interval_s, limits, load_rad_s2
+    )
+
+
+def _stretch(current_a: Floats) -> SampleWindow:
+    return Record(steps(SAMPLES, 2), current_a).stretch
+
+
+def _run_freely(current_a: Floats) -> RotorFreeRun:
+    free = rotor_free_run(ROTOR, to_coordinates(THETA[None]), _stretch(current_a))
+    assert isinstance(free, RotorFreeRun)
+    return free
+
+
+def test_the_current_answers_a_torque_as_a_second_run_does() -> None:
+    slow = np.sin(2.0 * np.pi * 3.0 * INTERVAL_S * np.arange(SAMPLES - 1))
+    bump_nm = 1e-6 * slow
+    still = np.zeros(SAMPLES - 1)
+    base_a = _moved(still).states[:, 0]
+    (response_a,) = _run_freely(base_a).torque_response(bump_nm[None], INERTIA)
+    true_a = _moved(bump_nm).states[:, 0] - base_a
+    assert np.std(response_a - true_a) < 0.15 * np.std(true_a)  # its shaft stops and starts
+
+
+def test_the_shaft_of_the_run_turns_as_the_motor_does() -> None:
+    path = _moved(np.zeros(SAMPLES - 1))
+    free = _run_freely(path.states[:, 0])
+    assert free.speed_rad_s == pytest.approx(path.states[:, 1], rel=1e-3, abs=0.1)
+
+
+def _left_open(current_a: Floats) -> dict[str, float]:
+    """Standard deviations of the logarithms that the doubts add."""
+    rng = np.random.default_rng(1)
+    noisy = _stretch(current_a + 0.01 * rng.normal(size=current_a.size))
+    shifts = analyse(ROTOR, to_coordinates(THETA[None]), noisy).open_shifts
+    return dict(zip(NODES, np.sqrt((shifts**2).sum(axis=0)), strict=True))
+
+
+def test_friction_that_grows_with_the_square_of_the_speed_opens_the_frictions() -> None:
+    speed = _moved(np.zeros(SAMPLES - 1)).states[:-1, 1]
+    share = speed / np.abs(speed).max()
+    plain = _left_open(_moved(np.zeros(SAMPLES - 1)).states[:, 0])
+    fan = _left_open(_moved(-2e-3 * share * np.abs(share)).states[:, 0])
+    assert fan['viscous_friction'] > 10.0 * plain['viscous_friction']
+    assert fan['coulomb_friction'] > 3.0 * plain['coulomb_friction']
+    assert fan['inductance'] < 0.01
+
+
+def test_friction_that_takes_more_to_break_opens_the_frictions() -> None:
+    speed = _moved(np.zeros(SAMPLES - 1)).states[:-1, 1]
+    share = speed / np.abs(speed).max()
+    slow_nm = -0.3 * THETA[4] * np.sign(share) * np.exp(-((share / 0.02) ** 2))
+    plain = _left_open(_moved(np.zeros(SAMPLES - 1)).states[:, 0])
+    sticky = _left_open(_moved(slow_nm).states[:, 0])
+    assert sticky['coulomb_friction'] > 3.0 * plain['coulomb_friction']
+    assert plain['coulomb_friction'] < 0.01
+
+
+@pytest.mark.parametrize('rests', [False, True])
+def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
+    measured = MotorWhiteBox(
+        ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
+    )
+    speed_rad_s = np.full(SAMPLES, 50.0)
+    if rests:
+        speed_rad_s[SAMPLES // 2 :] = 0.0
+    voltage_v = steps(SAMPLES, 4)
+    current_a = current_of(voltage_v - KB * speed_rad_s)
+    stretch = Record(voltage_v, current_a).stretch
+    stretch.speed_rad_s[0] = speed_rad_s
+    theta = np.array([4e-3, 2.0])
+    doubts = friction_doubts(
+        measured, free_run(measured, to_coordinates(theta[None]), stretch), theta
+    )
+    assert len(doubts) == int(rests)
+    if rests:
+        slope = np.abs(doubts[0].response_a).max()
+        largest_v = KB * GIVE_RAD / np.abs(current_a[SAMPLES // 2 :]).max() * 12.0 / 4e-3
+        assert 0.0 < slope < 2.0 * largest_v / 2.0
+
+
+def test_a_blocked_motor_has_no_friction_to_doubt() -> None:
+    voltage_v = steps(SAMPLES, 4)
+    stretch = Record(voltage_v, current_of(voltage_v)).stretch
+    theta = np.array([4e-3, 2.0])
+    free = free_run(WHITE_BOX, to_coordinates(theta[None]), stretch)
+    assert friction_doubts(WHITE_BOX, free, theta) == []
+    assert math.isclose(free.inductance_h, 4e-3)
