@@ -13,7 +13,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 from common.figures import Figure, figure_table, last_line, table
-from common.joints import LOADS, joint_record
+from common.joints.drawn_joints import LOADS
+from common.joints.joint_records import joint_record
 from common.trust.trial import LONGEST_FALSE_S, RELATIVE, Trial, run_trial
 from tqdm import tqdm
 

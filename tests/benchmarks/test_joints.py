@@ -7,14 +7,9 @@ from dataclasses import replace
 import joints
 import numpy as np
 import pytest
-from common.joints import (
-    BristleFriction,
-    Conditions,
-    Joint,
-    draw_joint,
-    joint_record,
-    simulate,
-)
+from common.joints.bristle_friction import BristleFriction
+from common.joints.drawn_joints import Conditions, Joint, draw_joint
+from common.joints.joint_records import joint_record, simulate
 from common.trust.trial import Trial
 
 POSITION = Conditions(follows_angle=True, rate_hz=200.0, noise=0.0, has_speed=False)

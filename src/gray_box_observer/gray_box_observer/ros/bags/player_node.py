@@ -47,7 +47,10 @@ player back.
 It is also the depth of the publishers then: Fast DDS asks its readers for acknowledgements at once
 only when the writer's history is full, and otherwise every three seconds.
 """
-_ACK_PATIENCE_S = 5.0
+_ACK_PATIENCE_S = 30.0
+"""Fast DDS asks for acknowledgements every 3 s; after an outage a busy machine needs far longer."""
+_CLOSING_PATIENCE_S = 5.0
+"""The same once the player has been told to stop."""
 _ACK_SLICE_S = 0.02
 """While rclpy waits for acknowledgements no other thread of Python runs, that of signals included.
 """
@@ -148,7 +151,7 @@ class BagPlayer(Node):
         """Stop waiting or replaying, and close the bag."""
         self._is_closing = True
         self._pacer.stop()
-        self._thread.join(timeout=2 * _ACK_PATIENCE_S)
+        self._thread.join(timeout=2 * _CLOSING_PATIENCE_S)
         if sys.stderr.isatty():
             print(file=sys.stderr)
         if self._reader.loss is not None:
@@ -305,13 +308,14 @@ class BagPlayer(Node):
         return True
 
     def _wait_for_acknowledgements(self, topic: str) -> None:
-        until_s = time.monotonic() + _ACK_PATIENCE_S
+        start_s = time.monotonic()
         slice_time = Duration(seconds=_ACK_SLICE_S)
         while not self._publishers_by_topic[topic].wait_for_all_acked(slice_time):
-            if time.monotonic() > until_s:
+            patience_s = _CLOSING_PATIENCE_S if self._is_closing else _ACK_PATIENCE_S
+            if time.monotonic() > start_s + patience_s:
                 self.get_logger().warning(
-                    f'a reader of {topic} has not acknowledged within {_ACK_PATIENCE_S:g} s; going '
-                    'on without it'
+                    f'a reader of {topic} has not acknowledged within {patience_s:g} s; going on '
+                    'without it'
                 )
                 return
 

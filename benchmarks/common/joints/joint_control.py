@@ -1,0 +1,68 @@
+"""How a controller moves a joint: along trapezoids, by position or by speed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from common.joints.drawn_joints import Conditions, Joint
+
+SPEED_GAIN = 2.0
+SPEED_GAIN_RATE = 20.0
+"""Of the speed controller, in volts for an error of Kb, and the same a second."""
+
+
+class Trapezoid:
+    """Moves from target to target, each drawn, with bounded speed and acceleration."""
+
+    def __init__(self, joint: Joint, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self.top_speed_rad_s = joint.no_load_speed_rad_s * rng.uniform(0.3, 0.7)
+        self._acceleration = self.top_speed_rad_s / rng.uniform(0.08, 0.4)
+        self._target_rad = 0.0
+        self._next_s = 0.0
+        self.angle_rad = 0.0
+        self.speed_rad_s = 0.0
+
+    def update(self, time_s: float, interval_s: float) -> None:
+        """Go on by one sample."""
+        if time_s >= self._next_s:
+            self._target_rad += self._rng.uniform(-0.6, 0.6) * self.top_speed_rad_s
+            self._next_s = time_s + self._rng.uniform(0.3, 1.2)
+        way_rad = self._target_rad - self.angle_rad
+        braking = math.sqrt(2.0 * self._acceleration * abs(way_rad))
+        goal_rad_s = math.copysign(min(self.top_speed_rad_s, braking), way_rad)
+        change = self._acceleration * interval_s
+        self.speed_rad_s += max(-change, min(change, goal_rad_s - self.speed_rad_s))
+        self.angle_rad += self.speed_rad_s * interval_s
+
+
+class Controller:
+    """Position: PID with feed-forward of the speed. Speed: PI. Both within the supply."""
+
+    def __init__(self, joint: Joint, conditions: Conditions, trapezoid: Trapezoid) -> None:
+        self._limit_v = joint.supply_v
+        self._back_emf_constant = joint.motor.back_emf_constant
+        self._trapezoid = trapezoid
+        self._interval_s = 1.0 / conditions.rate_hz
+        self._follows_angle = conditions.follows_angle
+        self._integral_v = 0.0
+        self._gain = 5.0 * joint.supply_v / trapezoid.top_speed_rad_s  # V/rad
+
+    def voltage(self, angle_rad: float, speed_rad_s: float) -> float:
+        """Answer a measurement."""
+        speed_error = self._trapezoid.speed_rad_s - speed_rad_s
+        if self._follows_angle:
+            error = self._trapezoid.angle_rad - angle_rad
+            self._integrate(2.0 * self._gain * error)
+            ahead = self._back_emf_constant * self._trapezoid.speed_rad_s
+            volt = self._gain * (error + 0.02 * speed_error) + self._integral_v + ahead
+        else:
+            self._integrate(SPEED_GAIN_RATE * self._back_emf_constant * speed_error)
+            volt = SPEED_GAIN * self._back_emf_constant * speed_error + self._integral_v
+        return max(-self._limit_v, min(self._limit_v, volt))
+
+    def _integrate(self, rate: float) -> None:
+        volt = self._integral_v + rate * self._interval_s
+        self._integral_v = max(-self._limit_v, min(self._limit_v, volt))
