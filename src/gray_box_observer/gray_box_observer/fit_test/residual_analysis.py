@@ -20,8 +20,8 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.friction_doubts import FrictionDoubt, friction_doubts
+from gray_box_observer.fit_test.input_noise import input_noise_shift
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
-from gray_box_observer.fit_test.speed_noise import speed_noise_shift
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -217,7 +217,7 @@ def analyse(
         open_shifts=np.concatenate(
             [
                 swap_shifts(white_box, run, theta, noise_a),
-                speed_noise_shift(white_box, run, theta),
+                input_noise_shift(white_box, run, theta),
                 *(
                     projection.open_shift(doubt, weight, noise_a)
                     for doubt in friction_doubts(white_box, run, theta)
