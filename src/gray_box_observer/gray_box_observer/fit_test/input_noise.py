@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
@@ -94,7 +95,9 @@ def _speed_variance(white_box: MotorWhiteBox, run: FreeRun, theta: Array) -> flo
     return float((back_emf * std_rad_s) ** 2)
 
 
-def _voltage_variance(run: FreeRun, is_whole: Array, stays: Array, gain: Array) -> float:
+def _voltage_variance(
+    run: FreeRun, is_whole: NDArray[np.bool_], stays: Array, gain: Array
+) -> float:
     """Variance in V2 of a noise of the voltage that the current does not answer.
 
     Let ``d`` be what a voltage differs by from the mean of its neighbours. The residual that is new
@@ -105,7 +108,7 @@ def _voltage_variance(run: FreeRun, is_whole: Array, stays: Array, gain: Array) 
         return 0.0
     difference_v = voltage_v[1:-1] - 0.5 * (voltage_v[:-2] + voltage_v[2:])
     most_v = STEP * MAD_TO_STD * float(median(np.abs(difference_v)))
-    is_sound = np.convolve(~is_whole, np.ones(3), 'valid') == 0.0
+    is_sound = is_whole[:-2] & is_whole[1:-1] & is_whole[2:]
     is_noise = is_sound & (np.abs(difference_v) <= most_v)
     if not most_v > 0.0 or np.count_nonzero(is_noise) < FEWEST:
         return 0.0
