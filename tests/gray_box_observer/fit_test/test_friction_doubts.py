@@ -26,7 +26,7 @@ INERTIA = THETA[2]
 ROTOR = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
 
 
-def _moved(torque_nm: Floats, theta: Floats = THETA) -> Run:
+def _path_under(torque_nm: Floats, theta: Floats = THETA) -> Run:
     voltage_v = steps(SAMPLES, 2)[:-1]
     interval_s = np.full(voltage_v.size, INTERVAL_S)
     limits = np.array([1e3, 1e6])
@@ -50,19 +50,19 @@ def test_the_current_answers_a_torque_as_a_second_run_does() -> None:
     slow = np.sin(2.0 * np.pi * 3.0 * INTERVAL_S * np.arange(SAMPLES - 1))
     bump_nm = 1e-6 * slow
     still = np.zeros(SAMPLES - 1)
-    base_a = _moved(still).states[:, 0]
+    base_a = _path_under(still).states[:, 0]
     (response_a,) = _run_freely(base_a).torque_response(bump_nm[None], INERTIA)
-    true_a = _moved(bump_nm).states[:, 0] - base_a
+    true_a = _path_under(bump_nm).states[:, 0] - base_a
     assert np.std(response_a - true_a) < 0.15 * np.std(true_a)  # its shaft stops and starts
 
 
 def test_the_shaft_of_the_run_turns_as_the_motor_does() -> None:
-    path = _moved(np.zeros(SAMPLES - 1))
+    path = _path_under(np.zeros(SAMPLES - 1))
     free = _run_freely(path.states[:, 0])
     assert free.speed_rad_s == pytest.approx(path.states[:, 1], rel=1e-3, abs=0.1)
 
 
-def _left_open(current_a: Floats) -> dict[str, float]:
+def _open_stds(current_a: Floats) -> dict[str, float]:
     """Standard deviations of the logarithms that the doubts add."""
     rng = np.random.default_rng(1)
     noisy = _stretch(current_a + 0.01 * rng.normal(size=current_a.size))
@@ -71,21 +71,21 @@ def _left_open(current_a: Floats) -> dict[str, float]:
 
 
 def test_friction_that_grows_with_the_square_of_the_speed_opens_the_frictions() -> None:
-    speed = _moved(np.zeros(SAMPLES - 1)).states[:-1, 1]
+    speed = _path_under(np.zeros(SAMPLES - 1)).states[:-1, 1]
     share = speed / np.abs(speed).max()
-    plain = _left_open(_moved(np.zeros(SAMPLES - 1)).states[:, 0])
-    fan = _left_open(_moved(-2e-3 * share * np.abs(share)).states[:, 0])
+    plain = _open_stds(_path_under(np.zeros(SAMPLES - 1)).states[:, 0])
+    fan = _open_stds(_path_under(-2e-3 * share * np.abs(share)).states[:, 0])
     assert fan['viscous_friction'] > 10.0 * plain['viscous_friction']
     assert fan['coulomb_friction'] > 3.0 * plain['coulomb_friction']
     assert fan['inductance'] < 0.01
 
 
 def test_friction_that_takes_more_to_break_opens_the_frictions() -> None:
-    speed = _moved(np.zeros(SAMPLES - 1)).states[:-1, 1]
+    speed = _path_under(np.zeros(SAMPLES - 1)).states[:-1, 1]
     share = speed / np.abs(speed).max()
     slow_nm = -0.3 * THETA[4] * np.sign(share) * np.exp(-((share / 0.02) ** 2))
-    plain = _left_open(_moved(np.zeros(SAMPLES - 1)).states[:, 0])
-    sticky = _left_open(_moved(slow_nm).states[:, 0])
+    plain = _open_stds(_path_under(np.zeros(SAMPLES - 1)).states[:, 0])
+    sticky = _open_stds(_path_under(slow_nm).states[:, 0])
     assert sticky['coulomb_friction'] > 3.0 * plain['coulomb_friction']
     assert plain['coulomb_friction'] < 0.01
 
@@ -108,9 +108,15 @@ def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
     )
     assert len(doubts) == int(rests)
     if rests:
-        slope = np.abs(doubts[0].response_a).max()
-        largest_v = KB * GIVE_RAD / np.abs(current_a[SAMPLES // 2 :]).max() * 12.0 / 4e-3
-        assert 0.0 < slope < 2.0 * largest_v / 2.0
+        rests_from = slice(SAMPLES // 2, None)
+        largest_a = np.abs(current_a[rests_from]).max()
+        give_v = np.zeros(SAMPLES)
+        give_v[rests_from] = np.diff(current_a[rests_from], append=current_a[-1]) / INTERVAL_S
+        give_v *= KB * GIVE_RAD / largest_a
+        later = slice(SAMPLES // 2 + 50, None)  # the run begins anew where the speed jumps
+        response_a, expected_a = doubts[0].response_a[later], current_of(-give_v)[later]
+        assert np.ptp(expected_a) > 1e-4 * largest_a
+        assert response_a == pytest.approx(expected_a, abs=1e-6 * largest_a)
 
 
 def test_a_blocked_motor_has_no_friction_to_doubt() -> None:

@@ -45,6 +45,9 @@ MAX_KICKS = 0.05
 CREDIBLE = 20.0
 """Times the largest reading: nothing is linearised about a state beyond."""
 
+LEAST = 1e-12
+"""Share of a deviation that an interval leaves of it at least, and takes from it at least."""
+
 OUTLIER = 6.0
 """Standard deviations beyond which a reading corrects no state after a restart."""
 
@@ -77,6 +80,11 @@ class FreeRun:
     reach_s: Array
     weight: Array
     further: tuple[Array, ...] = ()
+
+    @property
+    def is_whole(self) -> NDArray[np.bool_]:
+        """Whether an interval lasts, and the run goes on through it, shape (k,)."""
+        return np.asarray(~self.stretch.restart[0] & (self.stretch.interval_s[0] > 0.0))
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the run answers small further voltages.
@@ -144,9 +152,6 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
         residual = stretch.state - path.state
         about = path.state
     jacobian = np.column_stack([path.by_start[0], (path.by_coordinate[:, 0] * p[0][:, None]).T])
-    decay = maps.decay[0]
-    rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
-    reach = stretch.interval_s[0] * (1.0 - decay) / rate
     weight = 1.0 / (1.0 + loose[0])
     return FreeRun(
         stretch,
@@ -155,9 +160,20 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
         residual[0],
         jacobian,
         path.factor[0],
-        reach,
+        input_reach(stretch.interval_s[0], maps.decay[0]),
         weight,
     )
+
+
+def input_reach(interval_s: Array, decay: Array) -> Array:
+    """Return for how long an input acts in every interval, what decays of it taken off.
+
+    Args:
+        interval_s: shape (k,).
+        decay: shape (k,): what every interval leaves of a deviation, 0 to 1.
+    """
+    reach: Array = interval_s * (1.0 - decay) / -np.log(np.clip(decay, LEAST, 1.0 - LEAST))
+    return reach
 
 
 def _corrected(

@@ -98,7 +98,7 @@ def _other_friction(run: RotorFreeRun, values: dict[str, float]) -> list[Frictio
 
 def _is_held(white_box: WhiteBox, run: FreeRun) -> Array:
     """Tell of every interval whether friction holds the shaft through it, shape (k,)."""
-    is_whole = ~run.stretch.restart[0] & (run.stretch.interval_s[0] > 0.0)
+    is_whole = run.is_whole
     if isinstance(run, RotorFreeRun):
         left = run.transitions[:, State.SPEED, State.SPEED]
         return np.asarray(is_whole & (np.abs(left) < HELD))

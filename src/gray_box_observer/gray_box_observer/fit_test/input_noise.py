@@ -19,13 +19,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     difference_noise,
 )
-from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.free_run import LEAST, FreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.flow import swapped_logarithms
@@ -57,11 +56,10 @@ def input_noise_shift(white_box: WhiteBox, run: FreeRun, theta: Array) -> Array:
         Shape (1, parameter); without a row where neither has noise.
     """
     assert isinstance(white_box, MotorWhiteBox)
-    is_whole = ~run.stretch.restart[0] & (run.stretch.interval_s[0] > 0.0)
-    stays = np.clip(run.decay, 1e-12, 1.0 - 1e-12)
-    gain = np.where(is_whole, run.reach_s / run.inductance_h, 0.0)  # b
+    stays = np.clip(run.decay, LEAST, 1.0 - LEAST)
+    gain = np.where(run.is_whole, run.reach_s / run.inductance_h, 0.0)  # b
     speed_v2 = _speed_variance(white_box, run, theta)
-    voltage_v2 = _voltage_variance(run, is_whole, stays, gain)
+    voltage_v2 = _voltage_variance(run, stays, gain)
     if not speed_v2 + voltage_v2 > 0.0:
         return np.empty((0, theta.size))
     by_inductance = stays * np.log(stays) / (1.0 - stays)  # of the logarithm of b
@@ -95,26 +93,26 @@ def _speed_variance(white_box: MotorWhiteBox, run: FreeRun, theta: Array) -> flo
     return float((back_emf * std_rad_s) ** 2)
 
 
-def _voltage_variance(
-    run: FreeRun, is_whole: NDArray[np.bool_], stays: Array, gain: Array
-) -> float:
+def _voltage_variance(run: FreeRun, stays: Array, gain: Array) -> float:
     """Variance in V2 of a noise of the voltage that the current does not answer.
 
-    Let ``d`` be what a voltage differs by from the mean of its neighbours. The residual that is new
-    at the end of its interval has the mean product ``-b s^2`` with it.
+    Let ``d`` be what a voltage differs by from the mean of its neighbours. The innovation at the
+    end of its interval, ``r' - a r`` of the residual, has the mean product ``-b s^2`` with it.
     """
     voltage_v = run.stretch.voltage_v[0]
     if voltage_v.size < FEWEST:
         return 0.0
     difference_v = voltage_v[1:-1] - 0.5 * (voltage_v[:-2] + voltage_v[2:])
     most_v = STEP * MAD_TO_STD * float(median(np.abs(difference_v)))
+    is_whole = run.is_whole
     is_sound = is_whole[:-2] & is_whole[1:-1] & is_whole[2:]
     is_noise = is_sound & (np.abs(difference_v) <= most_v)
     if not most_v > 0.0 or np.count_nonzero(is_noise) < FEWEST:
         return 0.0
-    added_a = (run.residual_a[1:] - stays * run.residual_a[:-1])[1:-1][is_noise]
-    most_a = STEP * MAD_TO_STD * float(median(np.abs(added_a)))
-    products = -np.clip(added_a, -most_a, most_a) * difference_v[is_noise] / gain[1:-1][is_noise]
+    innovation_a = (run.residual_a[1:] - stays * run.residual_a[:-1])[1:-1][is_noise]
+    most_a = STEP * MAD_TO_STD * float(median(np.abs(innovation_a)))
+    innovation_a = np.clip(innovation_a, -most_a, most_a)
+    products = -innovation_a * difference_v[is_noise] / gain[1:-1][is_noise]
     mean = float(products.mean())
     error = float(products.std()) / math.sqrt(products.size)
     return mean if mean > SURE * error else 0.0

@@ -115,8 +115,8 @@ class ResidualAnalysis:
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
-            be off, each by what the residual does not show: which of two twins it is, noise of a
-            measured speed, and a friction that is not quite that of the white box.
+            be off, each by what the residual does not show: which of two twins it is, noise of
+            measured voltage and speed, and a friction that is not quite that of the white box.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
     """

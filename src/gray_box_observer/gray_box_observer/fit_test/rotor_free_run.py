@@ -10,7 +10,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
-from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.free_run import LEAST, FreeRun, input_reach
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
@@ -31,8 +31,8 @@ class RotorFreeRun(FreeRun):
         speed_rad_s: shape (k + 1,): of the run.
     """
 
-    transitions: Array = field(default_factory=lambda: np.empty(0))
-    speed_rad_s: Array = field(default_factory=lambda: np.empty(0))
+    transitions: Array = field(kw_only=True)
+    speed_rad_s: Array = field(kw_only=True)
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the current answers small further voltages, the rotor with it.
@@ -66,8 +66,8 @@ class RotorFreeRun(FreeRun):
         """
         interval_s = self.stretch.interval_s[0]
         by_speed = self.transitions[:, State.CURRENT, State.SPEED]
-        stays = np.clip(self.transitions[:, State.SPEED, State.SPEED], 1e-12, 1.0 - 1e-12)
-        reach_s = interval_s * (1.0 - stays) / -np.log(stays)
+        stays = np.clip(self.transitions[:, State.SPEED, State.SPEED], LEAST, 1.0 - LEAST)
+        reach_s = input_reach(interval_s, stays)
         by_torque = np.stack([0.5 * interval_s * by_speed, reach_s], axis=1) / inertia
         is_free = ~self.stretch.restart[0] & (stays >= HELD)
         inputs = np.where(is_free, torques_nm, 0.0).T
@@ -93,7 +93,6 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
         return _nothing(p, whole)
     transitions = _transitions(runs)
     decay = np.clip(transitions[:, 0, 0], 0.0, 1.0)
-    rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
     by_start = _by_start(runs)
     return RotorFreeRun(
         whole,
@@ -102,11 +101,11 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
         runs.residual_a,
         np.column_stack([by_start[0], swapped_logarithms(runs.by_parameter)]),
         decay,
-        whole.interval_s[0] * (1.0 - decay) / rate,
+        input_reach(whole.interval_s[0], decay),
         np.ones_like(runs.residual_a),
         tuple(by_start[1:]),
-        transitions,
-        np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
+        transitions=transitions,
+        speed_rad_s=np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
     )
 
 
