@@ -426,7 +426,8 @@ class MeasuredSpeedUpdate:
         """Note how many samples a fit explains, and what its load leaves of the mechanics."""
         if self._mechanics is None:
             return
-        self._explained_count = max(self._explained_count, count)
+        is_explained = fit.explains_rotor
+        self._explained_count = max(self._explained_count, count) if is_explained else -1
         now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
         self._load_spread = np.maximum(now, FORGOTTEN * self._load_spread)
         self._load_spread[self._load_spread < LEAST_SPREAD] = 0.0

@@ -51,6 +51,10 @@ POOR = 1.3
 COLOURED = 4.0
 """Whiteness of the current's residual from which it is not explained."""
 
+SPEED_COLOURED = 25.0
+"""Whiteness of the speed's residual from which the rotor is not explained: rounded readings of few
+counts, a filter of the sensor or a gear that gives."""
+
 SEEN = 1.2
 """Noise of a speed, over the smallest that is believed, from which there is some."""
 
@@ -112,11 +116,20 @@ class OutputFit:
     @property
     def explains(self) -> bool:
         """Whether both residuals are noise, that of the current white."""
-        if not self.is_within(POOR):
-            return False
-        most = OUTLIER * self.noise.current_a
-        residual = self.fit.runs.of_output(State.CURRENT)
-        return whiteness(np.clip(residual, -most, most)) < COLOURED
+        noise_a = self.noise.current_a
+        return self.is_within(POOR) and self._whiteness(State.CURRENT, noise_a) < COLOURED
+
+    @property
+    def explains_rotor(self) -> bool:
+        """Whether the residual of the speed is white enough for the rotor's parameters."""
+        output = self.window.speed_output
+        noise_a = self.noise.speed_rad_s * (0.0 if output is None else output.unit_a_s)
+        return self._whiteness(State.SPEED, noise_a) < SPEED_COLOURED
+
+    def _whiteness(self, output: State, noise_a: float) -> float:
+        """Return the whiteness of an output's residual, its outliers cut."""
+        most_a = OUTLIER * noise_a
+        return whiteness(np.clip(self.fit.runs.of_output(output), -most_a, most_a))
 
     @property
     def walk(self) -> float:
