@@ -40,8 +40,8 @@ def _stretch(current_a: Floats) -> SampleWindow:
     return Record(steps(SAMPLES, 2), current_a).stretch
 
 
-def _run_freely(current_a: Floats) -> RotorFreeRun:
-    free = rotor_free_run(ROTOR, to_coordinates(THETA[None]), _stretch(current_a))
+def _run_freely(current_a: Floats, theta: Floats = THETA) -> RotorFreeRun:
+    free = rotor_free_run(ROTOR, to_coordinates(theta[None]), _stretch(current_a))
     assert isinstance(free, RotorFreeRun)
     return free
 
@@ -54,6 +54,17 @@ def test_the_current_answers_a_torque_as_a_second_run_does() -> None:
     (response_a,) = _run_freely(base_a).torque_response(bump_nm[None], INERTIA)
     true_a = _path_under(bump_nm).states[:, 0] - base_a
     assert np.std(response_a - true_a) < 0.15 * np.std(true_a)  # its shaft stops and starts
+
+
+@pytest.mark.parametrize('rho', [0.1, 1.0, 4.0])
+def test_it_does_so_however_many_time_constants_an_interval_has(rho: float) -> None:
+    theta = THETA.copy()
+    theta[0], theta[4] = theta[1] * INTERVAL_S / rho, 1e-9  # a shaft that never stops
+    bump_nm = 1e-6 * np.sin(2.0 * np.pi * 60.0 * INTERVAL_S * np.arange(SAMPLES - 1))
+    base_a = _path_under(np.zeros(SAMPLES - 1), theta).states[:, 0]
+    (response_a,) = _run_freely(base_a, theta).torque_response(bump_nm[None], INERTIA)
+    true_a = _path_under(bump_nm, theta).states[:, 0] - base_a
+    assert np.std(response_a - true_a) < 0.05 * np.std(true_a)
 
 
 def test_the_shaft_of_the_run_turns_as_the_motor_does() -> None:

@@ -2,100 +2,174 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cache
+
 import numpy as np
 import pytest
 from linear_motor_records import (
     INDUCTANCE_H,
-    INTERVAL_S,
     RESISTANCE_OHM,
     TORQUE_CONSTANT,
     Floats,
     steps,
 )
-from scipy.signal import lfilter
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.free_run import free_run
-from gray_box_observer.fit_test.input_noise import input_noise_shift
+from gray_box_observer.fit_test.input_noise import input_noise_scores
+from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 
-SAMPLES, SEEDS = 2000, 40
-BACK_EMF_CONSTANT = 0.05
+SAMPLES, SEEDS, SUBSTEPS = 2000, 40, 50
+BACK_EMF_CONSTANT, HYSTERESIS = 0.05, 0.02
 CURRENT_STD = 0.01
-THETA = np.array([INDUCTANCE_H, RESISTANCE_OHM])
-MEASURED = MotorWhiteBox(
-    ('inductance', 'resistance'),
-    TORQUE_CONSTANT,
-    {'back_emf_constant': BACK_EMF_CONSTANT},
-    speed_measured=True,
-)
+TRUTH = {
+    'inductance': INDUCTANCE_H,
+    'resistance': RESISTANCE_OHM,
+    'back_emf_constant': BACK_EMF_CONSTANT,
+    'hysteresis': HYSTERESIS,
+}
+NAMES = tuple(TRUTH)
+RHO = 0.3
 
 
-def _stretch(
-    seed: int, speed_std: float = 0.0, voltage_std: float = 0.0, dither_std: float = 0.0
-) -> SampleWindow:
-    """A motor that turns as a slow sine, its current measured exactly.
+def _white_box(*context_nodes: str) -> MotorWhiteBox:
+    known = {name: value for name, value in TRUTH.items() if name not in context_nodes}
+    return MotorWhiteBox(context_nodes, TORQUE_CONSTANT, known, speed_measured=True)
+
+
+L_AND_R, ALL = _white_box(*NAMES[:2]), _white_box(*NAMES)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the noise of measured speed and voltage, in rad/s and V."""
+
+    speed: float = 0.0
+    voltage: float = 0.0
+
+
+NOISELESS, SPEED, VOLTAGE = Noise(), Noise(speed=1.0), Noise(voltage=0.05)
+
+
+@cache
+def _motor(rho: float, dither_v: float = 0.0, turning_rad_s: float = 0.0) -> SampleWindow:
+    """A motor that turns as a slow sine, its speed straight from reading to reading.
 
     Args:
-        seed: of all noise.
-        speed_std: of the noise of the measured speed.
-        voltage_std: of the noise of the measured voltage.
-        dither_std: of noise that the driver really applies.
+        rho: electrical time constants in a sample interval.
+        dither_v: standard deviation of noise that the driver really applies.
+        turning_rad_s: of noise in the speed that the shaft really makes.
     """
-    rng = np.random.default_rng(seed)
-    voltage_v = steps(SAMPLES, 1, -4.0, 4.0) + dither_std * rng.normal(size=SAMPLES)
-    speed_rad_s = 40.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) * INTERVAL_S)
-    back_emf_v = BACK_EMF_CONSTANT * 0.5 * (speed_rad_s[1:] + speed_rad_s[:-1])
-    decay = np.exp(-INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H)
-    push = (1.0 - decay) / RESISTANCE_OHM * (voltage_v[:-1] - back_emf_v)
-    current_a = np.concatenate([[0.0], lfilter([1.0], [1.0, -decay], push)])
-    measured_rad_s = speed_rad_s + speed_std * rng.normal(size=SAMPLES)
-    measured_v = voltage_v + voltage_std * rng.normal(size=SAMPLES)
-    current_a += CURRENT_STD * rng.normal(size=SAMPLES)
+    rng = np.random.default_rng(8)
+    interval_s = rho * INDUCTANCE_H / RESISTANCE_OHM
+    voltage_v = steps(SAMPLES, 1, -4.0, 4.0) + dither_v * rng.normal(size=SAMPLES)
+    speed_rad_s = 40.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 1000.0)
+    speed_rad_s += turning_rad_s * rng.normal(size=SAMPLES)
+    middles = (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS
+    currents_a = [0.0]
+    for voltage, start, end in zip(voltage_v, speed_rad_s, speed_rad_s[1:], strict=False):
+        current_a = currents_a[-1]
+        for speed in start + middles * (end - start):
+            resistance = RESISTANCE_OHM + HYSTERESIS * abs(speed)
+            settled_a = (voltage - BACK_EMF_CONSTANT * speed) / resistance
+            stays = np.exp(-interval_s / SUBSTEPS * resistance / INDUCTANCE_H)
+            current_a = settled_a + stays * (current_a - settled_a)
+        currents_a.append(current_a)
     return SampleWindow(
-        current_a[None],
-        measured_v[None, :-1],
-        np.full((1, SAMPLES - 1), INTERVAL_S),
-        measured_rad_s[None],
+        np.array(currents_a)[None],
+        voltage_v[None, :-1],
+        np.full((1, SAMPLES - 1), interval_s),
+        speed_rad_s[None],
         np.zeros((1, SAMPLES - 1), dtype=bool),
     )
 
 
-def _fitted_step(stretch: SampleWindow) -> Floats:
+def _measured(motor: SampleWindow, seed: int, noise: Noise = NOISELESS) -> SampleWindow:
+    rng = np.random.default_rng([seed, 5])
+    return replace(
+        motor,
+        state=motor.state + CURRENT_STD * rng.normal(size=motor.state.shape),
+        voltage_v=motor.voltage_v + noise.voltage * rng.normal(size=motor.voltage_v.shape),
+        speed_rad_s=motor.speed_rad_s + noise.speed * rng.normal(size=motor.speed_rad_s.shape),
+    )
+
+
+def _coordinates(white_box: MotorWhiteBox) -> Floats:
+    return to_coordinates(np.array([[TRUTH[name] for name in white_box.context_nodes]]))
+
+
+def _shift(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
+    """By how much the noise of the inputs moves the logarithms, as the fit test says."""
+    p = _coordinates(white_box)
+    run = free_run(white_box, p, stretch)
+    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    return projection.shift_of_scores(input_noise_scores(white_box, p, run))
+
+
+def _fitted_step(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
     """First step of a least-squares fit from the true values, in logarithms."""
-    run = free_run(MEASURED, to_coordinates(THETA[None]), stretch)
+    run = free_run(white_box, _coordinates(white_box), stretch)
     columns = np.column_stack([run.jacobian[:, 0], swapped_logarithms(run.jacobian[:, 1:])])
     return np.asarray(np.linalg.lstsq(columns, run.residual_a, rcond=None)[0][1:])
 
 
-@pytest.mark.parametrize('noise', [{'speed_std': 1.0}, {'voltage_std': 0.05}])
-def test_the_bias_is_that_of_repeated_fits(noise: dict[str, float]) -> None:
-    first_steps = np.array([_fitted_step(_stretch(seed, **noise)) for seed in range(SEEDS)])
-    run = free_run(MEASURED, to_coordinates(THETA[None]), _stretch(0, **noise))
-    (shift,) = input_noise_shift(MEASURED, run, THETA)
-    chance = first_steps.std(axis=0) / np.sqrt(SEEDS)
-    assert shift[0] > 0.005  # noise makes L too large
-    bias = first_steps.mean(axis=0)
+@pytest.mark.parametrize('white_box', [L_AND_R, ALL], ids=['L and R', 'all'])
+@pytest.mark.parametrize('rho', [0.3, 1.0, 3.0])
+@pytest.mark.parametrize('noise', [SPEED, VOLTAGE], ids=['speed', 'voltage'])
+def test_the_bias_is_that_of_repeated_fits(
+    noise: Noise, rho: float, white_box: MotorWhiteBox
+) -> None:
+    stretches = [_measured(_motor(rho), seed, noise) for seed in range(SEEDS)]
+    first_steps = [_fitted_step(white_box, stretch) for stretch in stretches]
+    chance = np.std(first_steps, axis=0) / np.sqrt(SEEDS)
+    bias = np.mean(first_steps, axis=0)
+    shift = np.mean([_shift(white_box, stretch) for stretch in stretches], axis=0)
+    assert bias[0] > 5.0 * chance[0]  # noise makes L too large
     assert (np.abs(shift - bias) < 4.0 * chance + 0.1 * np.abs(shift)).all()
 
 
-@pytest.mark.parametrize('noise', [{'speed_std': 1.0}, {'voltage_std': 0.05}])
-def test_the_standard_deviation_of_the_inductance_contains_it(noise: dict[str, float]) -> None:
-    p = to_coordinates(THETA[None])
-    assert np.abs(analyse(MEASURED, p, _stretch(3, **noise)).open_shifts).max() > 0.005
-    assert np.abs(analyse(MEASURED, p, _stretch(3)).open_shifts).max() < 1e-4
+@pytest.mark.parametrize('noise', [SPEED, VOLTAGE], ids=['speed', 'voltage'])
+def test_the_standard_deviation_of_the_inductance_contains_it(noise: Noise) -> None:
+    p = _coordinates(L_AND_R)
+    noisy, exact = _measured(_motor(RHO), 3, noise), _measured(_motor(RHO), 3)
+    assert np.abs(analyse(L_AND_R, p, noisy).open_shifts).max() > 0.005
+    assert np.abs(analyse(L_AND_R, p, exact).open_shifts).max() < 1e-4
 
 
-@pytest.mark.parametrize('dither_std', [0.05, 2.0])
 @pytest.mark.parametrize('seed', range(5))
-def test_noise_that_the_driver_applies_leaves_nothing_open(dither_std: float, seed: int) -> None:
-    run = free_run(MEASURED, to_coordinates(THETA[None]), _stretch(seed, dither_std=dither_std))
-    assert np.abs(input_noise_shift(MEASURED, run, THETA)).max() < 1e-4
+@pytest.mark.parametrize('dither_v', [0.05, 2.0])
+def test_noise_that_the_driver_applies_leaves_nothing_open(dither_v: float, seed: int) -> None:
+    stretch = _measured(_motor(RHO, dither_v=dither_v), seed)
+    assert np.abs(_shift(L_AND_R, stretch)).max() < 1e-4
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_shaft_that_turns_restlessly_has_hardly_any_noise(seed: int) -> None:
+    restless = _measured(_motor(RHO, turning_rad_s=3.0), seed)
+    noisy = _measured(_motor(RHO), seed, Noise(speed=3.0))
+    assert _shift(L_AND_R, restless)[0] < 0.25 * _shift(L_AND_R, noisy)[0]
+
+
+def test_an_encoder_of_few_counts_adds_to_the_noise() -> None:
+    step_rad_s = 4.0
+    noisy = _measured(_motor(RHO), 2, Noise(speed=0.5 * step_rad_s))
+    rounded = replace(noisy, speed_rad_s=step_rad_s * np.round(noisy.speed_rad_s / step_rad_s))
+    both = _measured(_motor(RHO), 2, Noise(speed=step_rad_s * np.sqrt(0.25 + 1.0 / 12.0)))
+    assert _shift(L_AND_R, rounded)[0] == pytest.approx(_shift(L_AND_R, both)[0], rel=0.2)
+
+
+def test_intervals_without_a_past_count_for_nothing() -> None:
+    stretch = _measured(_motor(RHO), 1, SPEED)
+    restart = np.zeros_like(stretch.restart)
+    restart[0, 300::300] = True
+    gaps = replace(stretch, restart=restart)
+    assert _shift(L_AND_R, gaps)[0] == pytest.approx(_shift(L_AND_R, stretch)[0], rel=0.3)
 
 
 def test_a_speed_that_nobody_measures_has_no_noise() -> None:
     blocked = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
-    run = free_run(blocked, to_coordinates(THETA[None]), _stretch(0, speed_std=4.0))
-    assert input_noise_shift(blocked, run, THETA).shape == (0, 2)
+    assert not _shift(blocked, _measured(_motor(RHO), 0, Noise(speed=4.0))).any()

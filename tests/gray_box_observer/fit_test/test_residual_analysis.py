@@ -30,13 +30,8 @@ from gray_box_observer.fit_test.policy import (
     WHITENESS_WARNING,
     judge,
 )
-from gray_box_observer.fit_test.residual_analysis import (
-    LAGS,
-    analyse,
-    bandwidth,
-    ljung_box,
-    long_run_covariance,
-)
+from gray_box_observer.fit_test.projection import bandwidth, long_run_covariance
+from gray_box_observer.fit_test.residual_analysis import LAGS, analyse, ljung_box
 
 SAMPLES = 4000
 STD_A = 0.05

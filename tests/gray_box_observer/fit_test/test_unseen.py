@@ -30,7 +30,8 @@ from gray_box_observer.fit_test.policy import (
     Judgement,
     judge,
 )
-from gray_box_observer.fit_test.residual_analysis import analyse, bandwidth
+from gray_box_observer.fit_test.projection import bandwidth
+from gray_box_observer.fit_test.residual_analysis import analyse
 
 SAMPLES = 3000
 STD_A = 0.01
@@ -59,7 +60,7 @@ def test_steps_tell_the_instant_at_which_the_voltage_acts() -> None:
     voltage_v = steps(SAMPLES, 1)
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 2))
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
-    assert analysis.delay_std < 0.1 * UNTOLD_DELAY
+    assert analysis.delay.amount.std < 0.1 * UNTOLD_DELAY
     assert not _judged(record, stamps_exact=False).spread.any()
 
 
@@ -68,12 +69,58 @@ def test_slow_sines_do_not_and_leave_the_inductance_open(exact: bool) -> None:
     voltage_v, _ = _slow_sines(1.0)
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 3))
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
-    assert analysis.delay_std > UNTOLD_DELAY
+    assert analysis.delay.amount.std > UNTOLD_DELAY
     spread = _judged(record, stamps_exact=exact).spread
     half_interval = 0.5 * INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H
     assert np.sqrt(spread[0, 0]) == pytest.approx(
         0.0 if exact else 2.0 * UNIFORM_STD * half_interval, rel=0.3
     )
+
+
+@pytest.mark.parametrize('error', [0.05, -0.05], ids=['later', 'earlier'])
+@pytest.mark.parametrize('seed', range(3))
+def test_small_errors_of_the_stamps_count_where_the_data_tell_them(error: float, seed: int) -> None:
+    """Stamps 5 % of an interval late or early blend a voltage with the one before or behind."""
+    voltage_v = steps(SAMPLES, 10 + seed)
+    other_v = np.roll(voltage_v, 1 if error > 0.0 else -1)
+    stamped = Record(
+        voltage_v + abs(error) * (other_v - voltage_v),
+        current_of(voltage_v) + noise(SAMPLES, 5.0 * STD_A, seed),
+    )
+    analysis = analyse(WHITE_BOX, TRUTH, stamped.stretch)
+    stamp_error = analysis.delay if error > 0.0 else analysis.lead
+    assert abs(stamp_error.amount.mean) == pytest.approx(abs(error), rel=0.3)
+    spread = (
+        _judged(stamped, stamps_exact=False).spread - _judged(stamped, stamps_exact=True).spread
+    )
+    assert np.sqrt(spread[0, 0]) > 0.7 * abs(error * stamp_error.shift[0])
+
+
+def _looped(seed: int) -> Record:
+    """The motor with a current loop that answers the noise of every reading."""
+    rng = np.random.default_rng(seed)
+    references_a = steps(SAMPLES, seed, -3.0, 3.0)
+    decay = np.exp(-INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H)
+    gain = (1.0 - decay) / RESISTANCE_OHM
+    current_a = integral_v = 0.0
+    voltage_v, readings_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for sample, reference_a in enumerate(references_a):
+        readings_a[sample] = current_a + STD_A * rng.normal()
+        error_a = reference_a - readings_a[sample]
+        integral_v += 0.1 * RESISTANCE_OHM * error_a
+        voltage_v[sample] = integral_v + 0.2 / gain * error_a
+        current_a = decay * current_a + gain * voltage_v[sample]
+    return Record(voltage_v, readings_a)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_current_loop_that_answers_noise_is_not_taken_for_stamps(seed: int) -> None:
+    record = _looped(seed)
+    lead = analyse(WHITE_BOX, TRUTH, record.stretch).lead.amount
+    assert lead.std < 0.05
+    assert abs(lead.mean) < 3.0 * lead.std
+    spread = _judged(record, stamps_exact=False).spread
+    assert np.sqrt(spread[0, 0]) < 0.01
 
 
 @pytest.mark.slow

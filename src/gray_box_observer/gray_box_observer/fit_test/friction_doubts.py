@@ -9,12 +9,12 @@ most of it. How much there is, the data tell together with what is likely before
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import HELD, RotorFreeRun
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -23,8 +23,10 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 GIVE_RAD = 5e-3
 """Standard deviation of the angle of the motor's shaft that is taken for likely beforehand."""
 
-RESTING = 1e-3
-"""Share of the largest speed below which a measured one is that of a shaft at rest."""
+RESTING, FAST, NOISY = 1e-3, 0.99, 3.0
+"""Share of a large speed below which a measured one is that of a shaft at rest; the quantile of the
+speeds that is large, for one wild reading is none; and standard deviations of its noise that are
+rest too."""
 
 BREAKAWAY, SLOW = 0.25, 0.02
 """Standard deviation, over ``T_c``, of the friction that is there beside it where the shaft hardly
@@ -35,21 +37,7 @@ SURE = 2.0
 be there. Most motors have none."""
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionDoubt:
-    """A friction that the white box has not.
-
-    Attributes:
-        response_a: shape (k + 1,): of the current, to as much as is likely beforehand: to one
-            standard deviation.
-        least_stds: of what the data tell, from which it counts.
-    """
-
-    response_a: Array
-    least_stds: float = 0.0
-
-
-def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[FrictionDoubt]:
+def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[Doubt]:
     """Return what may be left out of a motor's friction.
 
     Args:
@@ -65,7 +53,7 @@ def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[Fri
     return [doubt for doubt in doubts if np.isfinite(doubt.response_a).all()]
 
 
-def _presliding(run: FreeRun, is_held: Array, back_emf_constant: float) -> list[FrictionDoubt]:
+def _presliding(run: FreeRun, is_held: Array, back_emf_constant: float) -> list[Doubt]:
     """A held shaft gives as bristles that bend (presliding displacement).
 
     C. Canudas de Wit et al., IEEE Trans. Automatic Control 40 (3), 1995. The angle follows the
@@ -77,10 +65,10 @@ def _presliding(run: FreeRun, is_held: Array, back_emf_constant: float) -> list[
     interval_s = np.where(is_held, run.stretch.interval_s[0], 1.0)
     rate = np.where(is_held, np.diff(run.current_a) / interval_s, 0.0)
     back_emf_v = GIVE_RAD * back_emf_constant / largest_a * rate
-    return [FrictionDoubt(run.response(-back_emf_v[None])[0])]
+    return [Doubt(run.response(-back_emf_v[None])[0])]
 
 
-def _other_friction(run: RotorFreeRun, values: dict[str, float]) -> list[FrictionDoubt]:
+def _other_friction(run: RotorFreeRun, values: dict[str, float]) -> list[Doubt]:
     """More friction where the shaft hardly moves, and friction that grows faster than its speed."""
     speed_rad_s = interval_means(run.speed_rad_s)
     largest_rad_s = float(np.abs(run.speed_rad_s).max(initial=0.0))
@@ -93,7 +81,7 @@ def _other_friction(run: RotorFreeRun, values: dict[str, float]) -> list[Frictio
     quadratic_nm = most_nm * share * np.abs(share)
     torques_nm = -np.stack([breakaway_nm, quadratic_nm])
     breakaway_a, quadratic_a = run.torque_response(torques_nm, values['inertia'])
-    return [FrictionDoubt(breakaway_a), FrictionDoubt(quadratic_a, SURE)]
+    return [Doubt(breakaway_a), Doubt(quadratic_a, SURE)]
 
 
 def _is_held(white_box: WhiteBox, run: FreeRun) -> Array:
@@ -105,5 +93,6 @@ def _is_held(white_box: WhiteBox, run: FreeRun) -> Array:
     if not white_box.speed_measured:
         return np.zeros_like(is_whole)
     speed = np.abs(run.stretch.speed_rad_s[0])
-    rests = speed < RESTING * float(speed.max())
+    large, noise = float(np.quantile(speed, FAST)), difference_noise(run.stretch.speed_rad_s[0])
+    rests = speed < max(RESTING * large, NOISY * noise)
     return np.asarray(is_whole & rests[1:] & rests[:-1])

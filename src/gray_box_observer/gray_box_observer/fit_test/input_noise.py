@@ -1,118 +1,209 @@
 """What the noise of a measured voltage or speed does to an estimate that takes both for exact.
 
-Noise of a speed enters the voltage balance as a voltage ``Kb n``, noise of a voltage as itself. The
-current of the model answers it; that of the motor does not. Least squares make this answer small,
-so they make the inductance large: the bias of errors in variables (T. Soderstrom,
-"Errors-in-variables methods in system identification", Automatica 43 (6), 2007).
+Noise of a speed enters the voltage balance as a voltage, noise of a voltage as itself. The current
+of the model answers it; that of the motor does not. Least squares make this answer small, so they
+make the inductance large: the bias of errors in variables (T. Soderstrom, "Errors-in-variables
+methods in system identification", Automatica 43 (6), 2007).
 
-An interval of length ``h`` takes a current ``i`` and a voltage ``v`` to ``a i + b v``, with
-``a = exp(-h R / L)`` and ``b = (1 - a) / R``. The estimate linearises about the readings. So by a
-logarithm, noise ``n`` adds ``b' n`` in every interval to the slope, and ``-b n`` to the residual.
-Let it be white, with the standard deviation ``s``. Slope and residual then have a mean product of
-``-b b' s^2 / (1 - a^2)`` where a voltage is held over an interval. A speed counts as the mean of
-both ends: then it is ``-b b' s^2 / (2 (1 - a))``. Where an estimate linearises about its own run,
+The estimate linearises about the readings. A push of one standard deviation moves the end of an
+interval by ``e``, and its derivative by a coordinate by ``e'``. The interval leaves a share ``a``
+of both. The noise is white: then slope and residual have a mean product of ``-e e' / (1 - a^2)``.
+A speed runs straight from reading to reading, so each of these pushes two intervals, by ``f`` at
+the end of one and by ``e`` at the start of the next. The mean product is then
+``-(e e' + f f' + a (e f' + f e')) / (1 - a^2)``. Where an estimate linearises about its own run,
 its bias is down to half as large.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes.native import interval_motion
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     difference_noise,
 )
 from gray_box_observer.fit_test.free_run import LEAST, FreeRun
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.white_box.flow import swapped_logarithms
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
-BACK_EMF_CONSTANT, INDUCTANCE, RESISTANCE = 'back_emf_constant', 'inductance', 'resistance'
-
 STEP = 5.0
-"""Standard deviations of the voltage's second differences beyond which they are steps, no noise."""
+"""Standard deviations of a signal's second differences beyond which they are steps, no noise."""
 
 SURE = 3.0
-"""Standard errors from which the current is believed not to answer a noise of the voltage. What a
-driver really applies it does answer."""
+"""Standard errors of what the current tells of a noise. What a driver really applies the current
+answers, and what a shaft really does."""
 
 FEWEST = 64
 """Samples from which that is asked."""
 
 
-def input_noise_shift(white_box: WhiteBox, run: FreeRun, theta: Array) -> Array:
-    """Return by how much noise of voltage and speed moves the logarithms of the parameters.
+@dataclass(frozen=True, eq=False)
+class _Push:
+    """What noise of one standard deviation does to the end of an interval.
+
+    Attributes:
+        current_a: shape (k,).
+        slopes_a: shape (coordinate, k): of the current's derivatives by the coordinates'
+            logarithms.
+    """
+
+    current_a: Array
+    slopes_a: Array
+
+    def product(self, other: _Push) -> Array:
+        """Return the products of this current with the other's slopes, shape (coordinate, k)."""
+        return self.current_a * other.slopes_a
+
+
+class _Motion:
+    """The intervals of a free run from the readings, and from readings that are pushed.
 
     Args:
         white_box: of one motor.
-        run: its free run at the present values.
-        theta: shape (parameter,): these.
+        p: shape (1, coordinate): its present values.
+        run: its free run at these.
+    """
+
+    def __init__(self, white_box: MotorWhiteBox, p: Array, run: FreeRun) -> None:
+        self._white_box, self._p, self._run = white_box, p, run
+        self._ends = self._moved(0.0, 0.0, 0.0)
+
+    def push(
+        self, *, voltage_v: float = 0.0, start_rad_s: float = 0.0, end_rad_s: float = 0.0
+    ) -> _Push:
+        """Return what other readings do; of an interval that is not whole, nothing."""
+        ends = self._moved(voltage_v, start_rad_s, end_rad_s)
+        current_a, slopes_a = (
+            np.where(self._run.is_whole, np.nan_to_num(end - rest), 0.0)
+            for end, rest in zip(ends, self._ends, strict=True)
+        )
+        return _Push(current_a, slopes_a * self._p[0][:, None])
+
+    def _moved(self, voltage_v: float, start_rad_s: float, end_rad_s: float) -> tuple[Array, Array]:
+        """Return the current in A at the ends, shape (k,), and its derivatives (coordinate, k)."""
+        stretch = self._run.stretch
+        start = stretch.state[:, :-1]
+        signals = (
+            stretch.voltage_v + voltage_v,
+            stretch.speed_rad_s[:, :-1] + start_rad_s,
+            stretch.speed_rad_s[:, 1:] + end_rad_s,
+            stretch.interval_s,
+        )
+        motion: Linear
+        if isinstance(self._run, RotorFreeRun):
+            rotor = self._run.speed_rad_s[None, :-1]
+            motion = flow(self._white_box, self._p, [start, rotor], *signals)
+        else:
+            motion = interval_motion.move(self._white_box, self._p, start, *signals)
+        end, _, by_coordinate = motion.of_state(State.CURRENT)
+        return end[0], by_coordinate[:, 0]
+
+
+def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
+    """Return the mean products of slopes and residual that noise of voltage and speed makes.
+
+    Args:
+        white_box: of one motor.
+        p: shape (1, coordinate): its present values.
+        run: its free run at these.
 
     Returns:
-        Shape (1, parameter); without a row where neither has noise.
+        Shape (1 + coordinate,): by the first state and by the coordinates' logarithms; zero where
+        neither has noise.
     """
     assert isinstance(white_box, MotorWhiteBox)
+    scores = np.zeros(1 + p.shape[1])
     stays = np.clip(run.decay, LEAST, 1.0 - LEAST)
-    gain = np.where(run.is_whole, run.reach_s / run.inductance_h, 0.0)  # b
-    speed_v2 = _speed_variance(white_box, run, theta)
-    voltage_v2 = _voltage_variance(run, stays, gain)
-    if not speed_v2 + voltage_v2 > 0.0:
-        return np.empty((0, theta.size))
-    by_inductance = stays * np.log(stays) / (1.0 - stays)  # of the logarithm of b
-    of_speed = gain**2 * 0.5 * speed_v2 / (1.0 - stays)
-    of_both = of_speed + gain**2 * voltage_v2 / (1.0 - stays**2)
-    scores = {
-        INDUCTANCE: -float((of_both * by_inductance).sum()),
-        RESISTANCE: float((of_both * (1.0 + by_inductance)).sum()),
-        BACK_EMF_CONSTANT: -float(of_speed.sum()),
-    }
-    score = np.array([scores.get(parameter.name, 0.0) for parameter in white_box.parameters])
-    columns = np.column_stack([run.jacobian[:, 0], swapped_logarithms(run.jacobian[:, 1:])])
-    columns *= np.sqrt(run.weight)[:, None]
-    scale = np.linalg.norm(columns, axis=0) + 1e-300
-    information = (columns / scale).T @ (columns / scale)
-    if not (np.isfinite(information).all() and np.isfinite(score).all()):
-        return np.empty((0, theta.size))
-    right = np.concatenate([np.zeros(1), score]) / scale
-    shift: Array = np.linalg.pinv(information, rcond=1e-12, hermitian=True) @ right / scale
-    return shift[None, 1:]
+    innovation_a = run.residual_a[1:] - stays * run.residual_a[:-1]
+    voltage_v2 = _voltage_variance(run, innovation_a)
+    std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
+    if not voltage_v2 + std_rad_s > 0.0:
+        return scores
+    motion = _Motion(white_box, p, run)
+    products = np.zeros((p.shape[1], stays.size))
+    if voltage_v2 > 0.0:
+        push = motion.push(voltage_v=math.sqrt(voltage_v2))
+        products += push.product(push)
+    if std_rad_s > 0.0:
+        start, end = motion.push(start_rad_s=std_rad_s), motion.push(end_rad_s=std_rad_s)
+        share = _share_of_noise(run, innovation_a, start, end, std_rad_s)
+        across = start.product(end) + end.product(start)
+        products += share * (start.product(start) + end.product(end) + stays * across)
+    scores[1:] = -(products * run.weight[1:] / (1.0 - stays**2)).sum(axis=1)
+    return scores
 
 
-def _speed_variance(white_box: MotorWhiteBox, run: FreeRun, theta: Array) -> float:
-    """Variance in V2 of the back-EMF of a measured speed's noise; 0 where none is measured."""
-    if not white_box.speed_measured:
-        return 0.0
+def _speed_std(run: FreeRun) -> float:
+    """Standard deviation in rad/s of the noise of a measured speed, as its readings have it."""
     speed_rad_s = run.stretch.speed_rad_s
     step_rad_s = float(quantisation_step(speed_rad_s)[0])
-    std_rad_s = max(difference_noise(speed_rad_s[0]), step_rad_s * STEP_TO_STD)
-    back_emf = white_box.values(theta).get(BACK_EMF_CONSTANT, 0.0)
-    return float((back_emf * std_rad_s) ** 2)
+    return max(difference_noise(speed_rad_s[0]), step_rad_s * STEP_TO_STD)
 
 
-def _voltage_variance(run: FreeRun, stays: Array, gain: Array) -> float:
+def _voltage_variance(run: FreeRun, innovation_a: Array) -> float:
     """Variance in V2 of a noise of the voltage that the current does not answer.
 
     Let ``d`` be what a voltage differs by from the mean of its neighbours. The innovation at the
     end of its interval, ``r' - a r`` of the residual, has the mean product ``-b s^2`` with it.
+    ``b`` is what one volt does to the current.
     """
-    voltage_v = run.stretch.voltage_v[0]
-    if voltage_v.size < FEWEST:
-        return 0.0
-    difference_v = voltage_v[1:-1] - 0.5 * (voltage_v[:-2] + voltage_v[2:])
-    most_v = STEP * MAD_TO_STD * float(median(np.abs(difference_v)))
-    is_whole = run.is_whole
-    is_sound = is_whole[:-2] & is_whole[1:-1] & is_whole[2:]
-    is_noise = is_sound & (np.abs(difference_v) <= most_v)
-    if not most_v > 0.0 or np.count_nonzero(is_noise) < FEWEST:
-        return 0.0
-    innovation_a = (run.residual_a[1:] - stays * run.residual_a[:-1])[1:-1][is_noise]
-    most_a = STEP * MAD_TO_STD * float(median(np.abs(innovation_a)))
-    innovation_a = np.clip(innovation_a, -most_a, most_a)
-    products = -innovation_a * difference_v[is_noise] / gain[1:-1][is_noise]
-    mean = float(products.mean())
-    error = float(products.std()) / math.sqrt(products.size)
-    return mean if mean > SURE * error else 0.0
+    gain = run.reach_s[1:-1] / run.inductance_h
+    whole = run.is_whole
+    is_sound = whole[:-2] & whole[1:-1] & whole[2:]
+    variance = _noise_variance(run.stretch.voltage_v[0], innovation_a[1:-1], gain, is_sound)
+    return variance.mean if variance.mean > SURE * variance.std else 0.0
+
+
+def _share_of_noise(
+    run: FreeRun, innovation_a: Array, start: _Push, end: _Push, std_rad_s: float
+) -> float:
+    """Share of a speed's supposed variance that the current lets be noise, 0 to 1.
+
+    A shaft that really runs so restlessly is no noise, and neither is a speed that is sampled too
+    slowly to be smooth: the current answers it.
+    """
+    whole = run.is_whole
+    gain = 0.5 * (start.current_a[1:] + end.current_a[:-1]) / std_rad_s
+    both_a = innovation_a[1:] + innovation_a[:-1]
+    is_sound = whole[1:] & whole[:-1]
+    variance = _noise_variance(run.stretch.speed_rad_s[0], both_a, gain, is_sound)
+    return min(1.0, max(0.0, variance.mean + SURE * variance.std) / std_rad_s**2)
+
+
+def _noise_variance(
+    signal: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
+) -> Amount:
+    """Return the variance of a signal's noise by its products with the residual.
+
+    Args:
+        signal: shape (n + 2,): the readings.
+        answer_a: shape (n,): what the residual does at the end of each reading but the outer two.
+        gain: shape (n,): what it does less by a noise of one unit.
+        is_sound: shape (n,): which readings tell.
+    """
+    if signal.size < FEWEST:
+        return UNKNOWN
+    difference = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    most = STEP * MAD_TO_STD * float(median(np.abs(difference)))
+    is_noise = is_sound & (np.abs(difference) <= most)
+    if not most > 0.0 or np.count_nonzero(is_noise) < FEWEST:
+        return UNKNOWN
+    answer_a, gain = answer_a[is_noise], gain[is_noise]
+    most_a = STEP * MAD_TO_STD * float(median(np.abs(answer_a)))
+    products = -np.clip(answer_a, -most_a, most_a) * difference[is_noise] * gain
+    power = float(gain @ gain)
+    if not power > 0.0:
+        return UNKNOWN
+    sum_std = float(products.std()) * math.sqrt(products.size)
+    return Amount(float(products.sum()) / power, sum_std / power)

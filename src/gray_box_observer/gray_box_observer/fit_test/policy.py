@@ -15,7 +15,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
-from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, bandwidth
+from gray_box_observer.fit_test.projection import bandwidth
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, StampError
 from gray_box_observer.white_box.interface import Array
 
 RATIO_MISFIT = 4.5
@@ -102,9 +103,23 @@ FEW_PERIODS = 2.5
 from few periods of the correlation is often too small (Kiefer and Vogelsang 2005). With it three
 deviations hold what three of a known normal distribution do, within 3 % from 64 to 2048 samples."""
 
-LARGEST_SHIFT = 10.0
-"""Change of a logarithm beyond which nothing is known anyway; shifts are cut before they are
-squared."""
+STAMP_STD = 0.05
+"""Standard deviation of a constant error, in sample intervals, that the stamps of a driver are
+thought to have: by how much a voltage acts later or earlier than they say."""
+
+STAMP_STDS = 3.0
+"""Standard deviations from which the data are thought to tell such an error."""
+
+OPEN = 0.04
+"""Standard deviation of the inductance, relative to it, by what the data leave of such an error.
+From here on it counts though they tell none."""
+
+INDUCTANCE = 0
+"""Its place among the parameters: the first."""
+
+LARGEST_SHIFT = 1e6
+"""Change of a logarithm at which shifts are cut before they are squared. It is so large because a
+friction of nearly zero may be many times what it is taken for."""
 
 LARGEST_FACTOR = 1e3
 
@@ -230,9 +245,12 @@ def judge(
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
         is_untold = _is_delay_untold(analysis, speed_measured=speed_measured)
         late += UNIFORM_STD if is_untold else share * UNIFORM_STD
-    delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
-    spread += np.outer(delay_effect, delay_effect)
-    for unknown_shift in analysis.open_shifts:
+    unknown_shifts = [late * analysis.delay.shift, *analysis.open_shifts]
+    if not stamps_exact:
+        unknown_shifts += [
+            error.shift * _doubted_amount(error) for error in (analysis.delay, analysis.lead)
+        ]
+    for unknown_shift in unknown_shifts:
         shift = np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
@@ -257,14 +275,25 @@ def shows_change(analysis: ResidualAnalysis) -> bool:
     return analysis.ratio > RATIO_DOUBT and analysis.whiteness > WHITENESS_DOUBT
 
 
+def _doubted_amount(error: StampError) -> float:
+    """Return the error of a driver's stamps that may be there, in sample intervals.
+
+    It counts where the data tell one, or where they do not and the inductance would be useless.
+    """
+    amount = error.amount.likely(STAMP_STD)
+    is_shown = abs(amount.mean) > STAMP_STDS * amount.std
+    is_open = amount.std * abs(float(error.shift[INDUCTANCE])) > OPEN
+    return amount.size if is_shown or is_open else 0.0
+
+
 def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> bool:
     """Tell whether half an interval of delay may pass unseen, and would falsify the inductance.
 
     A voltage that moves smoothly and acts d later looks like one that acts at once on L - R d.
     """
     moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
-    is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay_std > UNTOLD_DELAY
-    is_open = speed_measured and FAR_UNTOLD_DELAY < analysis.delay_std < math.inf
+    is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay.amount.std > UNTOLD_DELAY
+    is_open = speed_measured and FAR_UNTOLD_DELAY < analysis.delay.amount.std < math.inf
     return (is_smooth or is_open) and moves_inductance
 
 

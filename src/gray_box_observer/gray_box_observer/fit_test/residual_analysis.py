@@ -19,8 +19,14 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
-from gray_box_observer.fit_test.friction_doubts import FrictionDoubt, friction_doubts
-from gray_box_observer.fit_test.input_noise import input_noise_shift
+from gray_box_observer.fit_test.friction_doubts import friction_doubts
+from gray_box_observer.fit_test.input_noise import input_noise_scores
+from gray_box_observer.fit_test.projection import (
+    DISTINCT,
+    Amount,
+    Projection,
+    long_run_covariance,
+)
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
@@ -44,10 +50,6 @@ COLOURED = 3.0
 COLOURED_ROTOR = 25.0
 """Whiteness from which a rotor's delays and lags are asked for in every shape that they have: its
 fit leaves out, as outliers, the samples behind a step that would show them."""
-
-DISTINCT = 1e-6
-"""Share of an effect's response that must not be explained by the parameters: of less nothing can
-be told."""
 
 INTEGRATION = 1e-4
 """Noise floor that is believed at least, as a share of the current's spread: steps of the
@@ -93,6 +95,20 @@ class EffectScore:
 
 
 @dataclass(frozen=True, eq=False)
+class StampError:
+    """A constant error of the voltage's stamps.
+
+    Attributes:
+        shift: shape (parameter,): by how much the logarithms of the parameters would move by an
+            error of one sample interval.
+        amount: how much of it the data tell, in sample intervals, all parameters being free.
+    """
+
+    shift: Array
+    amount: Amount
+
+
+@dataclass(frozen=True, eq=False)
 class ResidualAnalysis:
     """What the residual of one motor's free run says.
 
@@ -105,10 +121,8 @@ class ResidualAnalysis:
         robust_std: shape (parameter,): standard deviations of the logarithms over these samples,
             under the residual's own correlation; NaN where the residual is white or nothing can be
             said.
-        delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if
-            the voltage acted one sample interval later than it is stamped.
-        delay_std: standard deviation in sample intervals to which the data tell such a delay, all
-            parameters being free; infinite where they do not.
+        delay: what comes of a voltage that acts later than it is stamped.
+        lead: what comes of one that acts earlier.
         intervals: sample intervals in an electrical time constant L/R.
         jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as
             large in steep parts of the current as in flat ones.
@@ -127,8 +141,8 @@ class ResidualAnalysis:
     whiteness: float
     scores: tuple[EffectScore, ...]
     robust_std: Array
-    delay_shift: Array
-    delay_std: float
+    delay: StampError
+    lead: StampError
     intervals: float
     jitter: float
     moving_noise_a: float
@@ -180,50 +194,50 @@ def analyse(
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
-    weight = np.sqrt(run.weight)
-    residual = np.clip(run.residual_a, -limit_a, limit_a) * weight
+    residual = np.clip(run.residual_a, -limit_a, limit_a)
     base = np.column_stack([run.jacobian, *run.further])
     if is_drifting:
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
-    projection = _Projection(base * weight[:, None], residual, run.jacobian.shape[1])
-    if is_drifting:
-        residual = projection.remainder
+    projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
+    residual = projection.remainder if is_drifting else projection.residual
     size_a = math.sqrt(float(residual @ residual) / residual.size)
     whiteness = ljung_box(residual) if size_a > least_a else 1.0
-    is_coloured = white_box.has_rotor and whiteness > COLOURED_ROTOR
-    robust = projection.robust_std() if whiteness > COLOURED else np.full(p.shape[1], np.nan)
+    late_remainder = None
+    if white_box.has_rotor and whiteness > COLOURED_ROTOR:
+        late_remainder = projection.without(projection.with_weight(run.residual_a))
+    is_white = whiteness <= COLOURED
     noise_a = max(size_a, floor_a)
     theta = to_parameters(p)[0]
-    delay_shift, delay_std = _delay_effect(run, projection, weight, noise_a)
+    later_a, earlier_a = _stamp_responses(run)
+    open_shifts = [
+        swap_shifts(white_box, run, theta, noise_a),
+        projection.shift_of_scores(input_noise_scores(white_box, p, run))[None],
+        *(
+            projection.open_shift(doubt, noise_a, is_white=is_white)
+            for doubt in friction_doubts(white_box, run, theta)
+        ),
+    ]
     return ResidualAnalysis(
         samples=residual.size,
         floor_a=floor_a,
         ratio=size_a / floor_a,
         whiteness=whiteness,
-        scores=_scores(
-            run,
-            projection,
-            scene_of(white_box, run),
-            weight,
-            least_a,
-            projection.without(run.residual_a * weight) if is_coloured else None,
+        scores=_scores(run, projection, scene_of(white_box, run), least_a, late_remainder),
+        robust_std=np.full(p.shape[1], np.nan) if is_white else projection.robust_std(),
+        delay=StampError(
+            -projection.shift(projection.with_weight(later_a)),
+            projection.amount(later_a, noise_a, is_white=is_white),
         ),
-        robust_std=robust,
-        delay_shift=delay_shift,
-        delay_std=delay_std,
+        lead=StampError(
+            -projection.shift(projection.with_weight(earlier_a)),
+            projection.amount(
+                earlier_a, noise_a, is_white=is_white, instrument_a=_instrument(run, earlier_a)
+            ),
+        ),
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
-        open_shifts=np.concatenate(
-            [
-                swap_shifts(white_box, run, theta, noise_a),
-                input_noise_shift(white_box, run, theta),
-                *(
-                    projection.open_shift(doubt, weight, noise_a)
-                    for doubt in friction_doubts(white_box, run, theta)
-                ),
-            ]
-        ),
+        open_shifts=np.concatenate(open_shifts),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
     )
 
@@ -239,18 +253,30 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
     )
 
 
-def _delay_effect(
-    run: FreeRun, projection: _Projection, weight: Array, noise_a: float
-) -> tuple[Array, float]:
-    """Return what a delay of one sample interval does to the log-parameters, and its std."""
+def _stamp_responses(run: FreeRun) -> Array:
+    """Return how the current answers where the voltage acts later or earlier than it is stamped.
+
+    By one sample interval each. Small parts of it do not only differ in sign: of a delay the
+    interval in which the voltage has moved tells, of a lead the one before.
+
+    Returns:
+        Shape (2, k + 1), in A.
+    """
     voltage_v = run.stretch.voltage_v[0]
-    later = np.diff(voltage_v, prepend=voltage_v[:1])
-    response = run.response(-later[None])[0] * weight
-    distinct = projection.without(response)
-    size_a = math.sqrt(float(distinct @ distinct))
-    least_a = math.sqrt(DISTINCT * float(response @ response))
-    std = noise_a / size_a if size_a > least_a else math.inf
-    return -projection.shift(response), std
+    later_v = -np.diff(voltage_v, prepend=voltage_v[:1])
+    earlier_v = np.diff(voltage_v, append=voltage_v[-1:])
+    return run.response(np.stack([later_v, earlier_v]))
+
+
+def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:
+    """Return what to look for a lead with, shape (k + 1,); None: its response itself.
+
+    A controller answers the noise of a reading by its next voltage, and so seems to know it
+    beforehand. A voltage that is mostly held answers none.
+    """
+    if not median(np.abs(np.diff(run.stretch.voltage_v[0]))) > 0.0:
+        return None
+    return np.concatenate([[0.0], run.decay * earlier_a[:-1]])
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
@@ -317,102 +343,10 @@ def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
     return np.stack([-current_a * progress**power for power in (1, 2, 3)])
 
 
-class _Projection:
-    """Least squares of the residual on the parameters, and what is left of it.
-
-    Args:
-        base: shape (sample, column): derivatives by first state, coordinates and what else is free.
-        residual: shape (sample,).
-        unknowns: how many of the columns are first state and coordinates.
-    """
-
-    def __init__(self, base: Array, residual: Array, unknowns: int) -> None:
-        self._scale = np.linalg.norm(base, axis=0) + 1e-300
-        self._q, self._r = np.linalg.qr(base / self._scale)
-        self._unknowns = unknowns
-        self.remainder: Array = self.without(residual)
-
-    def without(self, signals: Array) -> Array:
-        """Return what the columns do not explain of signals, shape (..., sample)."""
-        part: Array = (signals @ self._q) @ self._q.T
-        return np.subtract(signals, part, out=part)
-
-    def shift(self, signal: Array) -> Array:
-        """Return the response of the log-parameters to a misread signal, shape (parameter,)."""
-        shift = self._solved(self._q.T @ signal) / self._scale
-        return _of_parameters(shift[1 : self._unknowns])
-
-    def open_shift(self, doubt: FrictionDoubt, weight: Array, noise_a: float) -> Array:
-        """Return by how much a doubt leaves the log-parameters open, shape (1 or 0, parameter).
-
-        The parameters do not take over all of the response. The rest tells how much there is, with
-        what is likely beforehand.
-
-        Args:
-            doubt: in the friction.
-            weight: shape (sample,): roots of those of the samples.
-            noise_a: standard deviation of the residual.
-        """
-        response = doubt.response_a * weight
-        own = self.without(response) / noise_a
-        precision = float(own @ own) + 1.0
-        amount = float(own @ self.remainder) / noise_a / precision
-        std = precision**-0.5
-        if abs(amount) < doubt.least_stds * std:
-            return np.empty((0, self._unknowns - 1))
-        return math.hypot(amount, std) * self.shift(response)[None]
-
-    def robust_std(self) -> Array:
-        """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""
-        weighted_rows = self._q * self.remainder[:, None]
-        spread = self._solved(long_run_covariance(weighted_rows)) / self._scale[:, None]
-        spread = (self._solved(spread.T) / self._scale[:, None])[
-            1 : self._unknowns, 1 : self._unknowns
-        ]
-        shift = _of_parameters(_of_parameters(spread).T)
-        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
-        return std
-
-    def _solved(self, right: Array) -> Array:
-        diagonal = np.abs(np.diagonal(self._r))
-        if not (diagonal > 1e-12 * diagonal.max()).all():
-            return np.asarray(np.linalg.pinv(self._r) @ right)
-        return np.asarray(np.linalg.solve(self._r, right))
-
-
-def _of_parameters(coordinates: Array) -> Array:
-    """Turn changes of log-coordinates, shape (coordinate, ...), into those of parameters."""
-    shift = coordinates - coordinates[:1]
-    shift[0] = -coordinates[0]
-    return shift
-
-
-def bandwidth(count: int) -> int:
-    """Return the lags up to which correlation counts, of so many samples."""
-    return int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
-
-
-def long_run_covariance(terms: Array) -> Array:
-    """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
-    count = terms.shape[0]
-    width = bandwidth(count)
-    fft_length = 1 << (count + width).bit_length()
-    spectrum = np.fft.rfft(terms, fft_length, axis=0)
-    lags = np.arange(width + 1)
-    kernel = np.zeros(fft_length)
-    kernel[lags] = 1.0 - lags / (width + 1.0)
-    kernel[-lags[1:]] = kernel[lags[1:]]
-    weights = np.fft.rfft(kernel).real.copy()
-    weights[1 : (fft_length + 1) // 2] *= 2.0
-    covariance: Array = ((spectrum.conj() * weights[:, None]).T @ spectrum).real / fft_length
-    return covariance
-
-
 def _scores(
     run: FreeRun,
-    projection: _Projection,
+    projection: Projection,
     scene: Scene,
-    weight: Array,
     least_a: float,
     late_remainder: Array | None,
 ) -> tuple[EffectScore, ...]:
@@ -422,7 +356,6 @@ def _scores(
         run: the free run.
         projection: of its residual on the parameters.
         scene: what the effects are made of.
-        weight: shape (sample,): of the samples.
         least_a: noise in A that is there at least.
         late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
             on which delays and lags are tested too, in all their shapes; None: they are not.
@@ -438,8 +371,7 @@ def _scores(
         )
     ]
     voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
-    response = run.response(voltages)
-    response *= weight
+    response = projection.with_weight(run.response(voltages))
     distinct = projection.without(response)
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)

@@ -17,6 +17,9 @@ from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+SHORTEST = 1e-6
+"""Electrical time constants that an interval lasts at least, of what one state passes on."""
+
 HELD = 1e-3
 """Share of its speed that an interval leaves of a shaft that friction holds."""
 
@@ -47,7 +50,7 @@ class RotorFreeRun(FreeRun):
         by_voltage = np.stack(
             [
                 self.reach_s * inverse,
-                0.5 * inverse * self.stretch.interval_s[0] * self.transitions[:, 1, 0],
+                self._passed_on(State.SPEED, State.CURRENT) * inverse,
             ],
             axis=1,
         )
@@ -64,14 +67,24 @@ class RotorFreeRun(FreeRun):
         Returns:
             Shape (torque, k + 1), in A.
         """
-        interval_s = self.stretch.interval_s[0]
-        by_speed = self.transitions[:, State.CURRENT, State.SPEED]
         stays = np.clip(self.transitions[:, State.SPEED, State.SPEED], LEAST, 1.0 - LEAST)
-        reach_s = input_reach(interval_s, stays)
-        by_torque = np.stack([0.5 * interval_s * by_speed, reach_s], axis=1) / inertia
+        reach_s = input_reach(self.stretch.interval_s[0], stays)
+        coupling_s = self._passed_on(State.CURRENT, State.SPEED)
+        by_torque = np.stack([coupling_s, reach_s], axis=1) / inertia
         is_free = ~self.stretch.restart[0] & (stays >= HELD)
         inputs = np.where(is_free, torques_nm, 0.0).T
         return current_response(self.transitions, by_torque, inputs).T
+
+    def _passed_on(self, state: State, by: State) -> Array:
+        """Return what a push of one state through an interval does to the other, shape (k,).
+
+        It is the derivative at the end, times the time in s for which a push of that size would
+        act. It grows as ``1 - exp(-t R / L)``.
+        """
+        stays = np.clip(self.decay, LEAST, 1.0 - SHORTEST)
+        mean = 1.0 / (1.0 - stays) + 1.0 / np.log(stays)
+        coupling: Array = mean * self.stretch.interval_s[0] * self.transitions[:, state, by]
+        return coupling
 
 
 def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:

@@ -1,0 +1,205 @@
+"""Least squares of a residual on the parameters: what is left, and what would move them.
+
+A residual that is not white tells less than white noise of its size would. Sums over it are judged
+by a covariance that no correlation can fool (Newey and West 1987).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.white_box.interface import Array
+
+DISTINCT = 1e-6
+"""Share of an effect's response that must not be explained by the parameters: of less nothing can
+be told."""
+
+
+@dataclass(frozen=True)
+class Amount:
+    """How much there is of something that the white box has not.
+
+    Attributes:
+        mean: as the data have it.
+        std: its standard deviation; infinite where they tell nothing.
+    """
+
+    mean: float
+    std: float
+
+    def likely(self, std: float) -> Amount:
+        """Return the amount where a standard deviation is known beforehand, about zero."""
+        ratio = self.std / std
+        share = 1.0 / (1.0 + ratio * ratio)
+        return Amount(share * self.mean, math.sqrt(1.0 - share) * std)
+
+    @property
+    def size(self) -> float:
+        """Root mean square of it."""
+        return math.hypot(self.mean, self.std)
+
+
+UNKNOWN = Amount(0.0, math.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """A small thing that the white box has not, and that the residual hardly shows.
+
+    Attributes:
+        response_a: shape (k + 1,): of the current, to as much as is likely beforehand: to one
+            standard deviation.
+        least_stds: of what the data tell, from which it counts.
+    """
+
+    response_a: Array
+    least_stds: float = 0.0
+
+
+class Projection:
+    """Least squares of the residual on the parameters, and what is left of it.
+
+    Args:
+        base: shape (sample, column): derivatives by first state, coordinates and what else is free.
+        residual: shape (sample,).
+        weight: shape (sample,): what a sample counts.
+        unknowns: how many of the columns are first state and coordinates.
+    """
+
+    def __init__(self, base: Array, residual: Array, weight: Array, unknowns: int) -> None:
+        self._root = np.sqrt(weight)
+        base = base * self._root[:, None]
+        self._scale = np.linalg.norm(base, axis=0) + 1e-300
+        self._q, self._r = np.linalg.qr(base / self._scale)
+        self._unknowns = unknowns
+        self.residual: Array = residual * self._root
+        self.remainder: Array = self.without(self.residual)
+
+    def with_weight(self, signals: Array) -> Array:
+        """Return signals, shape (..., sample), by what the samples count."""
+        return np.asarray(signals * self._root)
+
+    def without(self, signals: Array) -> Array:
+        """Return what the columns do not explain of signals, shape (..., sample), with weight."""
+        part: Array = (signals @ self._q) @ self._q.T
+        return np.subtract(signals, part, out=part)
+
+    def shift(self, signal: Array) -> Array:
+        """Return the response of the log-parameters to a misread signal, with weight.
+
+        Returns:
+            Shape (parameter,).
+        """
+        return self._shift(self._q.T @ signal)
+
+    def shift_of_scores(self, scores: Array) -> Array:
+        """Return by how much a bias moves the log-parameters, shape (parameter,).
+
+        Args:
+            scores: shape (unknown,): mean products of the weighted residual with the columns of
+                first state and coordinates.
+        """
+        every = np.zeros(self._scale.size)
+        every[: self._unknowns] = scores
+        return self._shift(_solved(self._r.T, every / self._scale))
+
+    def amount(
+        self,
+        response_a: Array,
+        noise_a: float,
+        *,
+        is_white: bool,
+        instrument_a: Array | None = None,
+    ) -> Amount:
+        """Return how much of a response the residual shows beyond what the parameters take over.
+
+        Args:
+            response_a: shape (sample,): of the current, to an amount of one.
+            noise_a: standard deviation of the residual.
+            is_white: whether it is white.
+            instrument_a: shape (sample,): what to look for it with, where the response itself
+                depends on the noise; None: that is not so.
+        """
+        response = self.with_weight(response_a)
+        own = self.without(response)
+        tool = own if instrument_a is None else self.without(self.with_weight(instrument_a))
+        power, tool_power = float(tool @ own), float(tool @ tool)
+        if not power > math.sqrt(DISTINCT * tool_power * float(response @ response)):
+            return UNKNOWN
+        mean = float(tool @ self.remainder) / power
+        sum_std = noise_a * math.sqrt(tool_power)
+        if not is_white:
+            sum_variance = long_run_covariance((tool * (self.remainder - mean * own))[:, None])
+            sum_std = max(sum_std, math.sqrt(max(float(sum_variance[0, 0]), 0.0)))
+        return Amount(mean, sum_std / power)
+
+    def open_shift(self, doubt: Doubt, noise_a: float, *, is_white: bool) -> Array:
+        """Return by how much a doubt leaves the log-parameters open, shape (1 or 0, parameter).
+
+        The parameters do not take over all of the response. The rest tells how much there is, with
+        what is likely beforehand.
+
+        Args:
+            doubt: what may be there.
+            noise_a: standard deviation of the residual.
+            is_white: whether it is white.
+        """
+        amount = self.amount(doubt.response_a, noise_a, is_white=is_white).likely(1.0)
+        if abs(amount.mean) < doubt.least_stds * amount.std:
+            return np.empty((0, self._unknowns - 1))
+        return amount.size * self.shift(self.with_weight(doubt.response_a))[None]
+
+    def robust_std(self) -> Array:
+        """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""
+        products = self._q * self.remainder[:, None]
+        spread = _solved(self._r, long_run_covariance(products)) / self._scale[:, None]
+        spread = (_solved(self._r, spread.T) / self._scale[:, None])[
+            1 : self._unknowns, 1 : self._unknowns
+        ]
+        shift = _of_parameters(_of_parameters(spread).T)
+        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
+        return std
+
+    def _shift(self, products: Array) -> Array:
+        """Return the log-parameters of products with the columns' directions."""
+        shift = _solved(self._r, products) / self._scale
+        return _of_parameters(shift[1 : self._unknowns])
+
+
+def _solved(triangle: Array, right: Array) -> Array:
+    """Solve a triangular system, whose columns may depend on each other."""
+    diagonal = np.abs(np.diagonal(triangle))
+    if not (diagonal > 1e-12 * diagonal.max()).all():
+        return np.asarray(np.linalg.pinv(triangle) @ right)
+    return np.asarray(np.linalg.solve(triangle, right))
+
+
+def _of_parameters(coordinates: Array) -> Array:
+    """Turn changes of log-coordinates, shape (coordinate, ...), into those of parameters."""
+    shift = coordinates - coordinates[:1]
+    shift[0] = -coordinates[0]
+    return shift
+
+
+def bandwidth(count: int) -> int:
+    """Return the lags up to which correlation counts, of so many samples."""
+    return int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
+
+
+def long_run_covariance(terms: Array) -> Array:
+    """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
+    count = terms.shape[0]
+    width = bandwidth(count)
+    fft_length = 1 << (count + width).bit_length()
+    spectrum = np.fft.rfft(terms, fft_length, axis=0)
+    lags = np.arange(width + 1)
+    kernel = np.zeros(fft_length)
+    kernel[lags] = 1.0 - lags / (width + 1.0)
+    kernel[-lags[1:]] = kernel[lags[1:]]
+    weights = np.fft.rfft(kernel).real.copy()
+    weights[1 : (fft_length + 1) // 2] *= 2.0
+    covariance: Array = ((spectrum.conj() * weights[:, None]).T @ spectrum).real / fft_length
+    return covariance
