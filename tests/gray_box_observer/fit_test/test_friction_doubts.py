@@ -130,6 +130,38 @@ def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
         assert response_a == pytest.approx(expected_a, abs=1e-6 * largest_a)
 
 
+@pytest.mark.parametrize('moves', [20, 400, SAMPLES // 2])
+@pytest.mark.parametrize('noise_rad_s', [0.0, 0.02])
+def test_a_shaft_that_hardly_ever_turns_rests(moves: int, noise_rad_s: float) -> None:
+    measured = MotorWhiteBox(
+        ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
+    )
+    speed_rad_s = noise_rad_s * np.random.default_rng(3).normal(size=SAMPLES)
+    speed_rad_s[:moves] += 50.0
+    voltage_v = steps(SAMPLES, 4)
+    stretch = Record(voltage_v, current_of(voltage_v - KB * speed_rad_s)).stretch
+    stretch.speed_rad_s[0] = speed_rad_s
+    theta = np.array([4e-3, 2.0])
+    free = free_run(measured, to_coordinates(theta[None]), stretch)
+    (doubt,) = friction_doubts(measured, free, theta)
+    assert (
+        np.abs(doubt.response_a[moves + 50 :]).max() > 10.0 * np.abs(doubt.response_a[:moves]).max()
+    )
+
+
+def test_a_shaft_that_is_sampled_too_slowly_does_not_rest() -> None:
+    measured = MotorWhiteBox(
+        ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
+    )
+    speed_rad_s = 40.0 + 30.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 6.0)
+    voltage_v = steps(SAMPLES, 4)
+    stretch = Record(voltage_v, current_of(voltage_v - KB * speed_rad_s)).stretch
+    stretch.speed_rad_s[0] = speed_rad_s
+    theta = np.array([4e-3, 2.0])
+    free = free_run(measured, to_coordinates(theta[None]), stretch)
+    assert friction_doubts(measured, free, theta) == []
+
+
 def test_a_blocked_motor_has_no_friction_to_doubt() -> None:
     voltage_v = steps(SAMPLES, 4)
     stretch = Record(voltage_v, current_of(voltage_v)).stretch

@@ -147,6 +147,39 @@ def test_noise_that_the_driver_applies_leaves_nothing_open(dither_v: float, seed
     assert np.abs(_shift(L_AND_R, stretch)).max() < 1e-4
 
 
+@pytest.mark.parametrize('noise_v', [0.0, 0.2])
+def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_current(
+    noise_v: float,
+) -> None:
+    """The loop answers every reading; what is measured of its voltage has noise of its own."""
+    blocked = MotorWhiteBox(NAMES[:2], TORQUE_CONSTANT)
+    rng = np.random.default_rng(5)
+    decay = np.exp(-RHO)
+    gain = (1.0 - decay) / RESISTANCE_OHM
+    references_a = steps(SAMPLES, 6, -3.0, 3.0)
+    current_a = 0.0
+    voltage_v, readings_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for sample, reference_a in enumerate(references_a):
+        readings_a[sample] = current_a + CURRENT_STD * rng.normal()
+        voltage_v[sample] = RESISTANCE_OHM * reference_a
+        voltage_v[sample] += 0.5 / gain * (reference_a - readings_a[sample])
+        current_a = decay * current_a + gain * voltage_v[sample]
+    motor = _motor(RHO)
+    stretch = replace(
+        motor,
+        state=readings_a[None],
+        voltage_v=(voltage_v + noise_v * rng.normal(size=SAMPLES))[None, :-1],
+        speed_rad_s=0.0 * motor.speed_rad_s,
+    )
+    inductance_shift = _shift(blocked, stretch)[0]
+    bias = _fitted_step(blocked, stretch)[0]
+    if noise_v == 0.0:
+        assert inductance_shift < 0.01
+    else:
+        assert bias > 0.02
+        assert 0.5 * bias < inductance_shift < 3.0 * bias
+
+
 @pytest.mark.parametrize('seed', range(5))
 def test_a_shaft_that_turns_restlessly_has_hardly_any_noise(seed: int) -> None:
     restless = _measured(_motor(RHO, turning_rad_s=3.0), seed)
@@ -154,7 +187,7 @@ def test_a_shaft_that_turns_restlessly_has_hardly_any_noise(seed: int) -> None:
     assert _shift(L_AND_R, restless)[0] < 0.25 * _shift(L_AND_R, noisy)[0]
 
 
-def test_an_encoder_of_few_counts_adds_to_the_noise() -> None:
+def test_rounding_adds_to_the_noise_of_a_speed() -> None:
     step_rad_s = 4.0
     noisy = _measured(_motor(RHO), 2, Noise(speed=0.5 * step_rad_s))
     rounded = replace(noisy, speed_rad_s=step_rad_s * np.round(noisy.speed_rad_s / step_rad_s))

@@ -16,6 +16,7 @@ from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import HELD, RotorFreeRun
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -23,10 +24,13 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 GIVE_RAD = 5e-3
 """Standard deviation of the angle of the motor's shaft that is taken for likely beforehand."""
 
-RESTING, FAST, NOISY = 1e-3, 0.99, 3.0
-"""Share of a large speed below which a measured one is that of a shaft at rest; the quantile of the
-speeds that is large, for one wild reading is none; and standard deviations of its noise that are
-rest too."""
+RESTING, FAST = 1e-3, 0.99
+"""Share of a large speed below which a measured one is that of a shaft at rest, and the quantile of
+the speeds that is large: one wild reading is none."""
+
+NOISY, NOISIEST = 3.0, 5e-3
+"""Standard deviations of the speed's noise that are rest too, and the largest noise that is taken
+for some, as a share of a large speed: a shaft that is sampled too slowly has none."""
 
 BREAKAWAY, SLOW = 0.25, 0.02
 """Standard deviation, over ``T_c``, of the friction that is there beside it where the shaft hardly
@@ -93,6 +97,7 @@ def _is_held(white_box: WhiteBox, run: FreeRun) -> Array:
     if not white_box.speed_measured:
         return np.zeros_like(is_whole)
     speed = np.abs(run.stretch.speed_rad_s[0])
-    large, noise = float(np.quantile(speed, FAST)), difference_noise(run.stretch.speed_rad_s[0])
+    large = float(quantile(speed, FAST)) or float(speed.max())
+    noise = min(difference_noise(run.stretch.speed_rad_s[0]), NOISIEST * large)
     rests = speed < max(RESTING * large, NOISY * noise)
     return np.asarray(is_whole & rests[1:] & rests[:-1])

@@ -6,12 +6,15 @@ make the inductance large: the bias of errors in variables (T. Soderstrom, "Erro
 methods in system identification", Automatica 43 (6), 2007).
 
 The estimate linearises about the readings. A push of one standard deviation moves the end of an
-interval by ``e``, and its derivative by a coordinate by ``e'``. The interval leaves a share ``a``
-of both. The noise is white: then slope and residual have a mean product of ``-e e' / (1 - a^2)``.
-A speed runs straight from reading to reading, so each of these pushes two intervals, by ``f`` at
-the end of one and by ``e`` at the start of the next. The mean product is then
-``-(e e' + f f' + a (e f' + f e')) / (1 - a^2)``. Where an estimate linearises about its own run,
-its bias is down to half as large.
+interval by ``e``, and its derivative by a coordinate by ``e'``. Every interval leaves a share ``a``
+of both. The noise is white: then slope and residual have a mean product of ``-e e' W``, where ``W``
+sums the squares of what is left at the samples that follow: ``1 / (1 - a^2)`` of many. A speed runs
+straight from reading to reading, so each of these pushes two intervals, by ``f`` at the end of one
+and by ``e`` at the start of the next. The mean product is then ``-f f' - (e + a f) (e' + a f') W``.
+
+Where an estimate linearises about its own run, its bias is down to half as large. Rounded readings
+count as white noise, which those of a slow speed are not. Of a motor with a rotor only the current
+answers: what noise of the voltage does through the speed is left out.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     difference_noise,
 )
-from gray_box_observer.fit_test.free_run import LEAST, FreeRun
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
@@ -64,6 +68,18 @@ class _Push:
     def product(self, other: _Push) -> Array:
         """Return the products of this current with the other's slopes, shape (coordinate, k)."""
         return self.current_a * other.slopes_a
+
+    def after(self, end: _Push, decay: Array) -> _Push:
+        """Return what noise does that has pushed the end of the interval before, too.
+
+        Args:
+            end: what it does there.
+            decay: shape (k,): what every interval leaves of that.
+        """
+        current_a, slopes_a = self.current_a.copy(), self.slopes_a.copy()
+        current_a[1:] += decay[1:] * end.current_a[:-1]
+        slopes_a[:, 1:] += decay[1:] * end.slopes_a[:, :-1]
+        return _Push(current_a, slopes_a)
 
 
 class _Motion:
@@ -124,24 +140,34 @@ def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
     """
     assert isinstance(white_box, MotorWhiteBox)
     scores = np.zeros(1 + p.shape[1])
-    stays = np.clip(run.decay, LEAST, 1.0 - LEAST)
-    innovation_a = run.residual_a[1:] - stays * run.residual_a[:-1]
+    innovation_a = run.residual_a[1:] - run.decay * run.residual_a[:-1]
     voltage_v2 = _voltage_variance(run, innovation_a)
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
     if not voltage_v2 + std_rad_s > 0.0:
         return scores
-    motion = _Motion(white_box, p, run)
-    products = np.zeros((p.shape[1], stays.size))
+    motion, weight = _Motion(white_box, p, run), _lasting_weight(run)
+    products = np.zeros((p.shape[1], run.decay.size))
     if voltage_v2 > 0.0:
         push = motion.push(voltage_v=math.sqrt(voltage_v2))
-        products += push.product(push)
+        products += push.product(push) * weight
     if std_rad_s > 0.0:
         start, end = motion.push(start_rad_s=std_rad_s), motion.push(end_rad_s=std_rad_s)
         share = _share_of_noise(run, innovation_a, start, end, std_rad_s)
-        across = start.product(end) + end.product(start)
-        products += share * (start.product(start) + end.product(end) + stays * across)
-    scores[1:] = -(products * run.weight[1:] / (1.0 - stays**2)).sum(axis=1)
+        products += share * end.product(end) * run.weight[1:]
+        onward = start.after(end, run.decay)
+        products += share * onward.product(onward) * weight
+    scores[1:] = -products.sum(axis=1)
     return scores
+
+
+def _lasting_weight(run: FreeRun) -> Array:
+    """Return what the squares of a push at the end of every interval come to, shape (k,).
+
+    At the samples that follow it is ever smaller, until the run begins anew.
+    """
+    later = np.concatenate([run.decay[1:], [0.0]]) ** 2
+    backward = recurrence(later[None, ::-1], run.weight[None, None, :0:-1], np.zeros((1, 1)))
+    return np.asarray(backward[0, 0, :0:-1])
 
 
 def _speed_std(run: FreeRun) -> float:
@@ -154,15 +180,31 @@ def _speed_std(run: FreeRun) -> float:
 def _voltage_variance(run: FreeRun, innovation_a: Array) -> float:
     """Variance in V2 of a noise of the voltage that the current does not answer.
 
-    Let ``d`` be what a voltage differs by from the mean of its neighbours. The innovation at the
-    end of its interval, ``r' - a r`` of the residual, has the mean product ``-b s^2`` with it.
-    ``b`` is what one volt does to the current.
+    Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one volt
+    does to the current. The innovation at the end of its interval, ``r' - a r`` of the residual,
+    has the mean product ``-b s^2`` with ``d``. Where a controller answers the noise of every
+    reading, that is false. But the residual ``r'`` itself has the mean product ``-b (1 - a) s^2``
+    with the voltage less the one before, and these only know earlier readings. That tells little;
+    where a controller is seen to answer, its upper end counts.
     """
-    gain = run.reach_s[1:-1] / run.inductance_h
+    voltage_v = run.stretch.voltage_v[0]
+    gain = run.reach_s / run.inductance_h
     whole = run.is_whole
-    is_sound = whole[:-2] & whole[1:-1] & whole[2:]
-    variance = _noise_variance(run.stretch.voltage_v[0], innovation_a[1:-1], gain, is_sound)
-    return variance.mean if variance.mean > SURE * variance.std else 0.0
+    change_v = np.diff(voltage_v)
+    by_neighbours = _noise_variance(
+        -0.5 * np.diff(change_v),
+        innovation_a[1:-1],
+        gain[1:-1],
+        whole[:-2] & whole[1:-1] & whole[2:],
+    )
+    by_the_one_before = _noise_variance(
+        change_v, run.residual_a[2:], (gain * (1.0 - run.decay))[1:], whole[:-1] & whole[1:]
+    )
+    if by_neighbours.mean < -SURE * by_neighbours.std:  # no noise does that: a controller answers
+        upper_v2 = max(0.0, by_the_one_before.mean + by_the_one_before.std)
+        return min(upper_v2, difference_noise(voltage_v) ** 2)
+    variances = by_neighbours, by_the_one_before
+    return max(one.mean if one.mean > SURE * one.std else 0.0 for one in variances)
 
 
 def _share_of_noise(
@@ -176,34 +218,33 @@ def _share_of_noise(
     whole = run.is_whole
     gain = 0.5 * (start.current_a[1:] + end.current_a[:-1]) / std_rad_s
     both_a = innovation_a[1:] + innovation_a[:-1]
-    is_sound = whole[1:] & whole[:-1]
-    variance = _noise_variance(run.stretch.speed_rad_s[0], both_a, gain, is_sound)
+    difference_rad_s = -0.5 * np.diff(run.stretch.speed_rad_s[0], 2)
+    variance = _noise_variance(difference_rad_s, both_a, gain, whole[1:] & whole[:-1])
     return min(1.0, max(0.0, variance.mean + SURE * variance.std) / std_rad_s**2)
 
 
 def _noise_variance(
-    signal: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
+    difference: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
 ) -> Amount:
     """Return the variance of a signal's noise by its products with the residual.
 
     Args:
-        signal: shape (n + 2,): the readings.
-        answer_a: shape (n,): what the residual does at the end of each reading but the outer two.
+        difference: shape (n,): of readings from those beside them.
+        answer_a: shape (n,): what the residual does.
         gain: shape (n,): what it does less by a noise of one unit.
-        is_sound: shape (n,): which readings tell.
+        is_sound: shape (n,): which readings count.
     """
-    if signal.size < FEWEST:
+    if difference.size < FEWEST:
         return UNKNOWN
-    difference = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
     most = STEP * MAD_TO_STD * float(median(np.abs(difference)))
     is_noise = is_sound & (np.abs(difference) <= most)
-    if not most > 0.0 or np.count_nonzero(is_noise) < FEWEST:
+    power = float(gain[is_noise] @ gain[is_noise])
+    if not (most > 0.0 and np.count_nonzero(is_noise) >= FEWEST and power > 0.0):
         return UNKNOWN
-    answer_a, gain = answer_a[is_noise], gain[is_noise]
-    most_a = STEP * MAD_TO_STD * float(median(np.abs(answer_a)))
-    products = -np.clip(answer_a, -most_a, most_a) * difference[is_noise] * gain
-    power = float(gain @ gain)
-    if not power > 0.0:
-        return UNKNOWN
-    sum_std = float(products.std()) * math.sqrt(products.size)
-    return Amount(float(products.sum()) / power, sum_std / power)
+    most_a = STEP * MAD_TO_STD * float(median(np.abs(answer_a[is_noise])))
+    products = -np.clip(answer_a, -most_a, most_a) * difference * gain
+    total = float(products[is_noise].sum())
+    scatter = np.where(is_noise, products - total / np.count_nonzero(is_noise), 0.0)
+    # products that share a reading depend on each other
+    own, *neighbours = (float(scatter[lag:] @ scatter[: scatter.size - lag]) for lag in range(3))
+    return Amount(total / power, math.sqrt(own + max(0.0, 2.0 * sum(neighbours))) / power)

@@ -245,13 +245,13 @@ def judge(
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
         is_untold = _is_delay_untold(analysis, speed_measured=speed_measured)
         late += UNIFORM_STD if is_untold else share * UNIFORM_STD
-    unknown_shifts = [late * analysis.delay.shift, *analysis.open_shifts]
+    unknown_shifts = [(late, analysis.delay.shift), *((1.0, row) for row in analysis.open_shifts)]
     if not stamps_exact:
         unknown_shifts += [
-            error.shift * _doubted_amount(error) for error in (analysis.delay, analysis.lead)
+            (_doubted_amount(error), error.shift) for error in (analysis.delay, analysis.lead)
         ]
-    for unknown_shift in unknown_shifts:
-        shift = np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+    for amount, unknown_shift in unknown_shifts:
+        shift = amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed

@@ -93,7 +93,8 @@ class Projection:
         Returns:
             Shape (parameter,).
         """
-        return self._shift(self._q.T @ signal)
+        shift = _solved(self._r, self._q.T @ signal) / self._scale
+        return _of_parameters(shift[1 : self._unknowns])
 
     def shift_of_scores(self, scores: Array) -> Array:
         """Return by how much a bias moves the log-parameters, shape (parameter,).
@@ -104,7 +105,9 @@ class Projection:
         """
         every = np.zeros(self._scale.size)
         every[: self._unknowns] = scores
-        return self._shift(_solved(self._r.T, every / self._scale))
+        information = self._r.T @ self._r
+        shift = np.linalg.pinv(information, rcond=1e-12, hermitian=True) @ (every / self._scale)
+        return _of_parameters((shift / self._scale)[1 : self._unknowns])
 
     def amount(
         self,
@@ -162,11 +165,6 @@ class Projection:
         shift = _of_parameters(_of_parameters(spread).T)
         std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
         return std
-
-    def _shift(self, products: Array) -> Array:
-        """Return the log-parameters of products with the columns' directions."""
-        shift = _solved(self._r, products) / self._scale
-        return _of_parameters(shift[1 : self._unknowns])
 
 
 def _solved(triangle: Array, right: Array) -> Array:

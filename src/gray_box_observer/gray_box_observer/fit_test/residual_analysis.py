@@ -66,6 +66,9 @@ SCATTERED = 2.0
 """Times the other residuals, by their medians, that these must be: in white noise they reach 1.6.
 """
 
+RARE = 0.05
+"""Share of the samples at which a voltage moves below which no controller sets it."""
+
 PERSISTENT_LAG = 1.0 / 3.0
 """Mechanical time constants after which a load on the shaft still shows in the current."""
 
@@ -272,9 +275,10 @@ def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:
     """Return what to look for a lead with, shape (k + 1,); None: its response itself.
 
     A controller answers the noise of a reading by its next voltage, and so seems to know it
-    beforehand. A voltage that is mostly held answers none.
+    beforehand. A voltage that hardly ever moves answers none.
     """
-    if not median(np.abs(np.diff(run.stretch.voltage_v[0]))) > 0.0:
+    voltage_v = run.stretch.voltage_v[0]
+    if np.count_nonzero(np.diff(voltage_v)) < RARE * voltage_v.size:
         return None
     return np.concatenate([[0.0], run.decay * earlier_a[:-1]])
 
