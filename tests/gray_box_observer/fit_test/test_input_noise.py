@@ -147,16 +147,13 @@ def test_noise_that_the_driver_applies_leaves_nothing_open(dither_v: float, seed
     assert np.abs(_shift(L_AND_R, stretch)).max() < 1e-4
 
 
-@pytest.mark.parametrize('noise_v', [0.0, 0.2])
-def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_current(
-    noise_v: float,
-) -> None:
+def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_current() -> None:
     """The loop answers every reading; what is measured of its voltage has noise of its own."""
     blocked = MotorWhiteBox(NAMES[:2], TORQUE_CONSTANT)
     rng = np.random.default_rng(5)
     decay = np.exp(-RHO)
     gain = (1.0 - decay) / RESISTANCE_OHM
-    references_a = steps(SAMPLES, 6, -3.0, 3.0)
+    references_a = steps(SAMPLES, 6, -0.3, 0.3)
     current_a = 0.0
     voltage_v, readings_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
     for sample, reference_a in enumerate(references_a):
@@ -168,16 +165,13 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
     stretch = replace(
         motor,
         state=readings_a[None],
-        voltage_v=(voltage_v + noise_v * rng.normal(size=SAMPLES))[None, :-1],
+        voltage_v=(voltage_v + 0.05 * rng.normal(size=SAMPLES))[None, :-1],
         speed_rad_s=0.0 * motor.speed_rad_s,
     )
     inductance_shift = _shift(blocked, stretch)[0]
     bias = _fitted_step(blocked, stretch)[0]
-    if noise_v == 0.0:
-        assert inductance_shift < 0.01
-    else:
-        assert bias > 0.02
-        assert 0.5 * bias < inductance_shift < 3.0 * bias
+    assert bias > 0.05
+    assert 0.5 * bias < inductance_shift < 5.0 * bias
 
 
 @pytest.mark.parametrize('seed', range(5))
