@@ -103,9 +103,13 @@ class Projection:
             scores: shape (unknown,): mean products of the weighted residual with the columns of
                 first state and coordinates.
         """
+        if not scores.any():
+            return np.zeros(self._unknowns - 1)
         every = np.zeros(self._scale.size)
         every[: self._unknowns] = scores
         information = self._r.T @ self._r
+        if not (np.isfinite(information).all() and np.isfinite(every).all()):
+            return np.full(self._unknowns - 1, np.nan)  # of which nothing is believed
         shift = np.linalg.pinv(information, rcond=1e-12, hermitian=True) @ (every / self._scale)
         return _of_parameters((shift / self._scale)[1 : self._unknowns])
 
