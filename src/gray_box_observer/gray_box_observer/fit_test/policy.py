@@ -107,7 +107,7 @@ STAMP_STD = 0.05
 """Standard deviation of a constant error, in sample intervals, that the stamps of a driver are
 thought to have: by how much a voltage acts later or earlier than they say."""
 
-STAMP_STDS = 3.0
+STAMP_STDS = 4.0
 """Standard deviations from which the data are thought to tell such an error."""
 
 OPEN = 0.04
