@@ -48,6 +48,9 @@ SURE = 3.0
 """Standard errors of what the current tells of a noise. What a driver really applies the current
 answers, and what a shaft really does."""
 
+LEAST_RAD_S = 1e-9
+"""Noise of a speed that is none: what rounding leaves."""
+
 FEWEST = 64
 """Samples from which that is asked."""
 
@@ -174,7 +177,8 @@ def _speed_std(run: FreeRun) -> float:
     """Standard deviation in rad/s of the noise of a measured speed, as its readings have it."""
     speed_rad_s = run.stretch.speed_rad_s
     step_rad_s = float(quantisation_step(speed_rad_s)[0])
-    return max(difference_noise(speed_rad_s[0]), step_rad_s * STEP_TO_STD)
+    std_rad_s = max(difference_noise(speed_rad_s[0]), step_rad_s * STEP_TO_STD)
+    return std_rad_s if std_rad_s > LEAST_RAD_S else 0.0
 
 
 def _voltage_variance(run: FreeRun, innovation_a: Array) -> float:
@@ -202,7 +206,8 @@ def _voltage_variance(run: FreeRun, innovation_a: Array) -> float:
     )
     if by_neighbours.mean < -SURE * by_neighbours.std:  # no noise does that: a controller answers
         upper_v2 = max(0.0, by_the_one_before.mean + by_the_one_before.std)
-        return min(upper_v2, difference_noise(voltage_v) ** 2)
+        noise_v = difference_noise(voltage_v)
+        return min(upper_v2, noise_v * noise_v)
     variances = by_neighbours, by_the_one_before
     return max(one.mean if one.mean > SURE * one.std else 0.0 for one in variances)
 
@@ -220,7 +225,7 @@ def _share_of_noise(
     both_a = innovation_a[1:] + innovation_a[:-1]
     difference_rad_s = -0.5 * np.diff(run.stretch.speed_rad_s[0], 2)
     variance = _noise_variance(difference_rad_s, both_a, gain, whole[1:] & whole[:-1])
-    return min(1.0, max(0.0, variance.mean + SURE * variance.std) / std_rad_s**2)
+    return min(1.0, max(0.0, variance.mean + SURE * variance.std) / (std_rad_s * std_rad_s))
 
 
 def _noise_variance(
