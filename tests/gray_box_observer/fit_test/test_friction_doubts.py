@@ -13,6 +13,7 @@ from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, run
 from gray_box_observer.fit_test.free_run import free_run
 from gray_box_observer.fit_test.friction_doubts import GIVE_RAD, friction_doubts
+from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
 from gray_box_observer.white_box import MotorWhiteBox
@@ -101,22 +102,26 @@ def test_friction_that_takes_more_to_break_opens_the_frictions() -> None:
     assert plain['coulomb_friction'] < 0.01
 
 
-@pytest.mark.parametrize('rests', [False, True])
-def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
+def _turned(speed_rad_s: Floats) -> tuple[Floats, list[Doubt]]:
+    """Current of a motor that is turned at a measured speed, and the doubts about it."""
     measured = MotorWhiteBox(
         ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
     )
-    speed_rad_s = np.full(SAMPLES, 50.0)
-    if rests:
-        speed_rad_s[SAMPLES // 2 :] = 0.0
     voltage_v = steps(SAMPLES, 4)
     current_a = current_of(voltage_v - KB * speed_rad_s)
     stretch = Record(voltage_v, current_a).stretch
     stretch.speed_rad_s[0] = speed_rad_s
     theta = np.array([4e-3, 2.0])
-    doubts = friction_doubts(
-        measured, free_run(measured, to_coordinates(theta[None]), stretch), theta
-    )
+    free = free_run(measured, to_coordinates(theta[None]), stretch)
+    return current_a, friction_doubts(measured, free, theta)
+
+
+@pytest.mark.parametrize('rests', [False, True])
+def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
+    speed_rad_s = np.full(SAMPLES, 50.0)
+    if rests:
+        speed_rad_s[SAMPLES // 2 :] = 0.0
+    current_a, doubts = _turned(speed_rad_s)
     assert len(doubts) == int(rests)
     if rests:
         rests_from = slice(SAMPLES // 2, None)
@@ -133,33 +138,17 @@ def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
 @pytest.mark.parametrize('moves', [20, 400, SAMPLES // 2])
 @pytest.mark.parametrize('noise_rad_s', [0.0, 0.02])
 def test_a_shaft_that_hardly_ever_turns_rests(moves: int, noise_rad_s: float) -> None:
-    measured = MotorWhiteBox(
-        ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
-    )
     speed_rad_s = noise_rad_s * np.random.default_rng(3).normal(size=SAMPLES)
     speed_rad_s[:moves] += 50.0
-    voltage_v = steps(SAMPLES, 4)
-    stretch = Record(voltage_v, current_of(voltage_v - KB * speed_rad_s)).stretch
-    stretch.speed_rad_s[0] = speed_rad_s
-    theta = np.array([4e-3, 2.0])
-    free = free_run(measured, to_coordinates(theta[None]), stretch)
-    (doubt,) = friction_doubts(measured, free, theta)
+    _, (doubt,) = _turned(speed_rad_s)
     assert (
         np.abs(doubt.response_a[moves + 50 :]).max() > 10.0 * np.abs(doubt.response_a[:moves]).max()
     )
 
 
 def test_a_shaft_that_is_sampled_too_slowly_does_not_rest() -> None:
-    measured = MotorWhiteBox(
-        ('inductance', 'resistance'), KT, {'back_emf_constant': KB}, speed_measured=True
-    )
     speed_rad_s = 40.0 + 30.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 6.0)
-    voltage_v = steps(SAMPLES, 4)
-    stretch = Record(voltage_v, current_of(voltage_v - KB * speed_rad_s)).stretch
-    stretch.speed_rad_s[0] = speed_rad_s
-    theta = np.array([4e-3, 2.0])
-    free = free_run(measured, to_coordinates(theta[None]), stretch)
-    assert friction_doubts(measured, free, theta) == []
+    assert _turned(speed_rad_s)[1] == []
 
 
 def test_a_blocked_motor_has_no_friction_to_doubt() -> None:

@@ -68,9 +68,10 @@ class _Push:
     current_a: Array
     slopes_a: Array
 
-    def product(self, other: _Push) -> Array:
-        """Return the products of this current with the other's slopes, shape (coordinate, k)."""
-        return self.current_a * other.slopes_a
+    @property
+    def products(self) -> Array:
+        """Products of the current with its slopes, shape (coordinate, k)."""
+        return self.current_a * self.slopes_a
 
     def after(self, end: _Push, decay: Array) -> _Push:
         """Return what noise does that has pushed the end of the interval before, too.
@@ -152,13 +153,12 @@ def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
     products = np.zeros((p.shape[1], run.decay.size))
     if voltage_v2 > 0.0:
         push = motion.push(voltage_v=math.sqrt(voltage_v2))
-        products += push.product(push) * weight
+        products += push.products * weight
     if std_rad_s > 0.0:
         start, end = motion.push(start_rad_s=std_rad_s), motion.push(end_rad_s=std_rad_s)
         share = _share_of_noise(run, innovation_a, start, end, std_rad_s)
-        products += share * end.product(end) * run.weight[1:]
-        onward = start.after(end, run.decay)
-        products += share * onward.product(onward) * weight
+        products += share * end.products * run.weight[1:]
+        products += share * start.after(end, run.decay).products * weight
     scores[1:] = -products.sum(axis=1)
     return scores
 
@@ -239,8 +239,6 @@ def _noise_variance(
         gain: shape (n,): what it does less by a noise of one unit.
         is_sound: shape (n,): which readings count.
     """
-    if difference.size < FEWEST:
-        return UNKNOWN
     most = STEP * MAD_TO_STD * float(median(np.abs(difference)))
     is_noise = is_sound & (np.abs(difference) <= most)
     power = float(gain[is_noise] @ gain[is_noise])

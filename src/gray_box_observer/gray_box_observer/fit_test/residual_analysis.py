@@ -212,6 +212,16 @@ def analyse(
     noise_a = max(size_a, floor_a)
     theta = to_parameters(p)[0]
     later_a, earlier_a = _stamp_responses(run)
+    delay, lead = (
+        StampError(
+            -projection.shift(projection.with_weight(response_a)),
+            projection.amount(response_a, noise_a, is_white=is_white, instrument_a=instrument_a),
+        )
+        for response_a, instrument_a in (
+            (later_a, None),
+            (earlier_a, _instrument(run, earlier_a)),
+        )
+    )
     open_shifts = [
         swap_shifts(white_box, run, theta, noise_a),
         projection.shift_of_scores(input_noise_scores(white_box, p, run))[None],
@@ -227,16 +237,8 @@ def analyse(
         whiteness=whiteness,
         scores=_scores(run, projection, scene_of(white_box, run), least_a, late_remainder),
         robust_std=np.full(p.shape[1], np.nan) if is_white else projection.robust_std(),
-        delay=StampError(
-            -projection.shift(projection.with_weight(later_a)),
-            projection.amount(later_a, noise_a, is_white=is_white),
-        ),
-        lead=StampError(
-            -projection.shift(projection.with_weight(earlier_a)),
-            projection.amount(
-                earlier_a, noise_a, is_white=is_white, instrument_a=_instrument(run, earlier_a)
-            ),
-        ),
+        delay=delay,
+        lead=lead,
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
