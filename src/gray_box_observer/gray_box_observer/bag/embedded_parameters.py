@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gray_box_observer.bag.metadata import list_files
+from gray_box_observer.bag.metadata import Listing, list_files
 from gray_box_observer.errors import BagError, brief
 
 _KEY = 'gray_box_observer.parameters'
@@ -17,6 +17,12 @@ _RANGE = re.compile(r'\[\d+\.\.\d+\]')
 
 MOST_MOTORS = 10_000
 """That a bag may name."""
+
+FREE_MOTORS = 100
+"""That a bag of any size may name."""
+
+BYTES_OF_A_MOTOR = 10_000
+"""On the disk, for each motor beyond these: a small bag cannot ask for much memory."""
 
 
 def to_custom_data(parameters: Mapping[str, Any]) -> dict[str, str]:
@@ -47,14 +53,38 @@ def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
 
 
 def _parameters_of(bag: Path) -> dict[str, Any]:
-    text = list_files(bag).custom_data.get(_KEY, '{}')
+    listing = list_files(bag)
+    text = listing.custom_data.get(_KEY, '{}')
     try:
         parameters = json.loads(text)
     except (ValueError, RecursionError):
         parameters = None
     if not isinstance(parameters, dict) or not _is_list_of_names(parameters.get('motors', [])):
         raise BagError(f'{bag}: {_KEY} in its metadata cannot be understood; remove it there')
+    _refuse_too_many(len(parameters.get('motors', ())), listing, bag)
     return parameters
+
+
+def _refuse_too_many(count: int, listing: Listing, bag: Path) -> None:
+    """Refuse more motors than a bag of this size can have measured for long."""
+    if count <= FREE_MOTORS:
+        return
+    disk_bytes = sum(_disk_bytes(file.path) for file in listing.files)
+    most = FREE_MOTORS + disk_bytes // BYTES_OF_A_MOTOR
+    if count > most:
+        raise BagError(
+            f'{bag}: {_KEY} in its metadata names {count} motors, but {most} at most in a bag of '
+            f'{disk_bytes / 1e6:.3g} MB; remove it there and name the motors with --params'
+        )
+
+
+def _disk_bytes(path: Path) -> int:
+    """What a file takes on the disk, without its holes."""
+    try:
+        status = path.stat()
+    except OSError:
+        return 0
+    return min(status.st_size, status.st_blocks * 512)
 
 
 def _is_list_of_names(value: object) -> bool:

@@ -42,12 +42,15 @@ def write_json(result: dict[str, Any], target: str) -> None:
     Raises:
         GrayBoxError: the file cannot be written.
     """
-    text = json.dumps(plain(result), indent=2, allow_nan=False)
+    parts = json.JSONEncoder(indent=2, allow_nan=False).iterencode(plain(result))
     if target == '-':
         with readers_may_leave(sys.stdout):
-            print(text)
+            sys.stdout.writelines(parts)
+            print()
         return
     try:
-        Path(target).write_text(text + '\n', encoding='utf-8')
+        with Path(target).open('w', encoding='utf-8') as stream:
+            stream.writelines(parts)
+            stream.write('\n')
     except OSError as error:
         raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
