@@ -21,6 +21,7 @@ from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_mea
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
 from gray_box_observer.fit_test.input_noise import input_noise_scores
+from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.projection import (
     DISTINCT,
     Amount,
@@ -133,7 +134,8 @@ class ResidualAnalysis:
             before.
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
             be off, each by what the residual does not show: which of two twins it is, noise of
-            measured voltage and speed, and a friction that is not quite that of the white box.
+            measured voltage and speed, a friction that is not quite that of the white box, and a
+            speed that comes late.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
     """
@@ -227,7 +229,10 @@ def analyse(
         projection.shift_of_scores(input_noise_scores(white_box, p, run))[None],
         *(
             projection.open_shift(doubt, noise_a, is_white=is_white)
-            for doubt in friction_doubts(white_box, run, theta)
+            for doubt in (
+                *friction_doubts(white_box, run, theta),
+                *late_speed_doubts(white_box, run, theta),
+            )
         ),
     ]
     return ResidualAnalysis(
