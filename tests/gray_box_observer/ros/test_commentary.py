@@ -97,6 +97,8 @@ def test_a_motor_that_is_found_and_what_is_learnt_of_it_are_told(record):
     )
     assert summary.count('identified') == 3
     assert '\n' not in summary
+    lossy = run.commentary.summary(run.observer, missing_count=12)
+    assert lossy == summary.replace('none rejected', 'none rejected, about 12 never came')
 
 
 def test_a_signal_that_is_missing_for_five_seconds_is_told_once_and_so_is_its_return():

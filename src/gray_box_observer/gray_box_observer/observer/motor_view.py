@@ -29,7 +29,7 @@ MOST_JUDGED = 1000
 
 ALARM_REMEDY = (
     'torque is not what voltage and the identified parameters explain: '
-    'blocked rotor, open brush, weak magnet or a wrong sensor?'
+    'blocked rotor, open brush, changed winding, weak magnet or a wrong sensor?'
 )
 """What a standing alarm asks the user."""
 

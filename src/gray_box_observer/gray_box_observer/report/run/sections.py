@@ -55,7 +55,8 @@ _VALIDATED = (
 _SCORES = {
     'nmae': (
         'Normalised mean absolute error',
-        'of the torque forecast, over the spread of the measured torque; 0 is perfect',
+        'of the torque forecast over the whole run, its start included, over the spread of the '
+        'measured torque; 0 is perfect',
     ),
     'skill_vs_persistence': (
         'Skill against persistence',

@@ -121,8 +121,13 @@ class Commentary:
             else:
                 self._tell(line)
 
-    def summary(self, observer: Observer) -> str:
-        """Sum up in one line what came of it all."""
+    def summary(self, observer: Observer, missing_count: int = 0) -> str:
+        """Sum up in one line what came of it all.
+
+        Args:
+            observer: as it is now.
+            missing_count: samples that never came, by the stamps.
+        """
         counts = [observer.counts(motor) for motor in self._motors]
         used_count, rejected_count = (
             sum(c.used_count for c in counts),
@@ -134,6 +139,8 @@ class Commentary:
             f'{used_count} samples of {motors_in_words(self._motors)} in {after_s:.1f} s, '
             f'{rejected_count or "none"} rejected'
         )
+        if missing_count:
+            line += f', about {missing_count} never came'
         estimates = [
             (name, e.for_motor(k))
             for names, e in observer.group_estimates()

@@ -249,7 +249,8 @@ class ObserverNode(LifecycleNode):
     def _sum_up(self) -> None:
         """Tell what came of it all, once the end has come."""
         if self._session is not None:
-            self.get_logger().info(printable(self._commentary.summary(self._session.observer)))
+            summary = self._commentary.summary(self._session.observer, self._meter.missing_count)
+            self.get_logger().info(printable(summary))
 
     def _why_silent(self, signals: Iterable[str]) -> str:
         """Say why nothing comes of these signals; empty where the graph does not tell."""

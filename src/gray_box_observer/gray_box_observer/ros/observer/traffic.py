@@ -95,6 +95,11 @@ class TrafficMeter:
             name: stamp_ns for names, stamp_ns in self._newest_of_group.items() for name in names
         }
 
+    @property
+    def missing_count(self) -> int:
+        """Samples that never came, of all motors; those that come together count once."""
+        return sum(rhythm.missing_count for rhythm in self._of_group.values())
+
     def read(self, observer: Observer, message_input: MessageInput) -> Traffic:
         """Return what has come since the last reading."""
         before_s, before_cpu_s = self._now
