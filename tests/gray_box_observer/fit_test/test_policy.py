@@ -2,12 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
-from gray_box_observer.fit_test.policy import Judgement
+from gray_box_observer.fit_test.effects import EFFECTS
+from gray_box_observer.fit_test.policy import (
+    FEW_PERIODS,
+    MATERIAL,
+    NOTICEABLE,
+    SAFETY,
+    SCORE_MEASURED,
+    WHITENESS_WIDENS,
+    Judgement,
+    judge,
+)
+from gray_box_observer.fit_test.projection import UNKNOWN, bandwidth
+from gray_box_observer.fit_test.residual_analysis import (
+    EffectScore,
+    ResidualAnalysis,
+    StampError,
+)
+
+SAMPLES = 1000
+NO_ERROR = StampError(np.zeros(2), UNKNOWN)
+STD = np.array([1e-3, 2e-3])
+
+
+def analysis(**found: object) -> ResidualAnalysis:
+    """A residual that shows nothing, but for what is given."""
+    nothing = ResidualAnalysis(
+        samples=SAMPLES,
+        floor_a=1.0,
+        ratio=1.0,
+        whiteness=1.0,
+        scores=(),
+        robust_std=np.full(2, np.nan),
+        delay=NO_ERROR,
+        lead=NO_ERROR,
+        intervals=5.0,
+        jitter=0.0,
+        moving_noise_a=0.0,
+        open_shifts=np.empty((0, 2)),
+        persistence=0.0,
+    )
+    return replace(nothing, **found)  # type: ignore[arg-type]
+
+
+def judged(samples: int = SAMPLES, **found: object) -> Judgement:
+    return judge(analysis(**found), STD, samples, speed_measured=True, stamps_exact=True)
 
 
 def judgement(seed: int, parameters: int) -> Judgement:
@@ -43,3 +89,23 @@ def test_a_share_of_the_voltage_is_at_most_that_of_the_furthest_value() -> None:
     largest = limit.largest_shares(values, share, reach)
     np.testing.assert_allclose(largest[:2], expected[:2], rtol=1e-12)
     assert largest[2] == np.inf  # of what no share is known
+
+
+def test_an_effect_that_stands_out_and_moves_little_widens_by_what_it_moves() -> None:
+    shift = np.array([0.5 * MATERIAL, -2.0 * NOTICEABLE])
+    score = EffectScore(EFFECTS['current_offset'], 2.0 * SCORE_MEASURED, shift, np.ones(1))
+    weak = replace(score, score=0.5 * SCORE_MEASURED)
+    assert not judged(scores=(weak,)).widens
+    limit = judged(scores=(score, score))
+    assert limit.verdict is FitVerdict.WARNING
+    np.testing.assert_allclose(limit.spread, np.outer(shift, shift), rtol=1e-12)
+
+
+@pytest.mark.parametrize('samples', [SAMPLES // 2, SAMPLES, 16 * SAMPLES])
+def test_a_coloured_residual_widens_by_the_samples_that_an_estimate_rests_on(samples: int) -> None:
+    robust_std = np.array([0.05, 0.08])
+    limit = judged(samples, whiteness=1.1 * WHITENESS_WIDENS, robust_std=robust_std)
+    few = 1.0 + FEW_PERIODS * bandwidth(SAMPLES) / SAMPLES
+    share = 0.25 if samples == 16 * SAMPLES else 1.0
+    np.testing.assert_allclose(limit.factor, SAFETY * few * share * robust_std / STD, rtol=1e-12)
+    assert not limit.spread.any()
