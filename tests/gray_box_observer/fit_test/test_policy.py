@@ -15,7 +15,11 @@ from gray_box_observer.fit_test.policy import (
     MATERIAL,
     NOTICEABLE,
     SAFETY,
+    SCORE_DOUBT,
     SCORE_MEASURED,
+    SCORE_UNMEASURED,
+    STANDING,
+    WHITENESS_DOUBT,
     WHITENESS_WIDENS,
     Judgement,
     judge,
@@ -109,3 +113,36 @@ def test_a_coloured_residual_widens_by_the_samples_that_an_estimate_rests_on(sam
     share = 0.25 if samples == 16 * SAMPLES else 1.0
     np.testing.assert_allclose(limit.factor, SAFETY * few * share * robust_std / STD, rtol=1e-12)
     assert not limit.spread.any()
+
+
+def scored(score: float) -> tuple[EffectScore, ...]:
+    """An effect that would move the parameters a lot."""
+    shift = np.full(2, 5.0 * MATERIAL)
+    return (EffectScore(EFFECTS['current_offset'], score, shift, np.ones(1)),)
+
+
+@pytest.mark.parametrize('is_doubted', [False, True])
+def test_half_of_a_score_lets_a_misfit_stand(is_doubted: bool) -> None:
+    less = analysis(scores=scored(0.5 * (1.0 + STANDING) * SCORE_MEASURED))
+    again = judge(less, STD, SAMPLES, speed_measured=True, stamps_exact=True, is_doubted=is_doubted)
+    assert again.verdict is (FitVerdict.MISFIT if is_doubted else FitVerdict.OK)
+
+
+@pytest.mark.parametrize('whiteness', [1.0, 1.1 * WHITENESS_DOUBT])
+def test_under_colour_an_effect_must_stand_out_further_where_no_speed_is_measured(
+    whiteness: float,
+) -> None:
+    score = 0.5 * (SCORE_UNMEASURED + SCORE_DOUBT)
+    robust_std = np.full(2, 1e-3)
+    coloured = analysis(scores=scored(score), whiteness=whiteness, robust_std=robust_std)
+    limit = judge(coloured, STD, SAMPLES, speed_measured=False, stamps_exact=True)
+    assert (limit.verdict is FitVerdict.MISFIT) == (whiteness == 1.0)
+
+
+@pytest.mark.parametrize('is_drifting', [False, True])
+def test_a_winding_that_heats_may_leave_no_colour(is_drifting: bool) -> None:
+    coloured = analysis(whiteness=1.1 * WHITENESS_DOUBT, robust_std=np.full(2, 1e-3))
+    limit = judge(
+        coloured, STD, SAMPLES, speed_measured=True, stamps_exact=True, is_drifting=is_drifting
+    )
+    assert limit.verdict is (FitVerdict.MISFIT if is_drifting else FitVerdict.WARNING)
