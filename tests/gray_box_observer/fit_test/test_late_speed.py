@@ -93,17 +93,19 @@ def _open_std(speed_rad_s: Floats, voltage_v: Floats, current_a: Floats) -> floa
 
 def test_a_late_speed_opens_the_resistance_by_what_it_takes_it_for() -> None:
     voltage_v, current_a, speed_rad_s = _motion()
-    taken = 0.5 * INTERVAL_S * KB * KT / (INERTIA * THETA[1])  # the rotor has no friction
+    resistance_share = (
+        0.5 * INTERVAL_S * KB * KT / (INERTIA * THETA[1])
+    )  # the rotor has no friction
     late = _open_std(_differences(speed_rad_s), voltage_v, current_a[::FINE])
-    assert late == pytest.approx(taken, rel=0.25)
-    assert _open_std(_late(speed_rad_s, 0.0), voltage_v, current_a[::FINE]) < 0.1 * taken
+    assert late == pytest.approx(resistance_share, rel=0.25)
+    assert _open_std(_late(speed_rad_s, 0.0), voltage_v, current_a[::FINE]) < 0.1 * resistance_share
 
 
 def test_a_known_back_emf_constant_leaves_no_such_doubt() -> None:
     voltage_v, current_a, speed_rad_s = _motion()
-    known = MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}, speed_measured=True)
-    free = _run_freely(_differences(speed_rad_s), voltage_v, current_a[::FINE], known)
-    assert late_speed_doubts(known, free, THETA[:2]) == []
+    white_box = MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}, speed_measured=True)
+    free = _run_freely(_differences(speed_rad_s), voltage_v, current_a[::FINE], white_box)
+    assert late_speed_doubts(white_box, free, THETA[:2]) == []
 
 
 @pytest.mark.parametrize('speed_rad_s', [0.0, 50.0])

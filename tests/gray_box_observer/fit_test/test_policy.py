@@ -36,7 +36,7 @@ NO_ERROR = StampError(np.zeros(2), UNKNOWN)
 STD = np.array([1e-3, 2e-3])
 
 
-def analysis(**found: object) -> ResidualAnalysis:
+def analysis(**findings: object) -> ResidualAnalysis:
     """A residual that shows nothing, but for what is given."""
     nothing = ResidualAnalysis(
         samples=SAMPLES,
@@ -53,11 +53,11 @@ def analysis(**found: object) -> ResidualAnalysis:
         open_shifts=np.empty((0, 2)),
         persistence=0.0,
     )
-    return replace(nothing, **found)  # type: ignore[arg-type]
+    return replace(nothing, **findings)  # type: ignore[arg-type]
 
 
-def judged(samples: int = SAMPLES, **found: object) -> Judgement:
-    return judge(analysis(**found), STD, samples, speed_measured=True, stamps_exact=True)
+def judgement_of(samples: int = SAMPLES, **findings: object) -> Judgement:
+    return judge(analysis(**findings), STD, samples, speed_measured=True, stamps_exact=True)
 
 
 def judgement(seed: int, parameters: int) -> Judgement:
@@ -99,8 +99,8 @@ def test_an_effect_that_stands_out_and_moves_little_widens_by_what_it_moves() ->
     shift = np.array([0.5 * MATERIAL, -2.0 * NOTICEABLE])
     score = EffectScore(EFFECTS['current_offset'], 2.0 * SCORE_MEASURED, shift, np.ones(1))
     weak = replace(score, score=0.5 * SCORE_MEASURED)
-    assert not judged(scores=(weak,)).widens
-    limit = judged(scores=(score, score))
+    assert not judgement_of(scores=(weak,)).widens
+    limit = judgement_of(scores=(score, score))
     assert limit.verdict is FitVerdict.WARNING
     np.testing.assert_allclose(limit.spread, np.outer(shift, shift), rtol=1e-12)
 
@@ -108,14 +108,14 @@ def test_an_effect_that_stands_out_and_moves_little_widens_by_what_it_moves() ->
 @pytest.mark.parametrize('samples', [SAMPLES // 2, SAMPLES, 16 * SAMPLES])
 def test_a_coloured_residual_widens_by_the_samples_that_an_estimate_rests_on(samples: int) -> None:
     robust_std = np.array([0.05, 0.08])
-    limit = judged(samples, whiteness=1.1 * WHITENESS_WIDENS, robust_std=robust_std)
+    limit = judgement_of(samples, whiteness=1.1 * WHITENESS_WIDENS, robust_std=robust_std)
     few = 1.0 + FEW_PERIODS * bandwidth(SAMPLES) / SAMPLES
     share = 0.25 if samples == 16 * SAMPLES else 1.0
     np.testing.assert_allclose(limit.factor, SAFETY * few * share * robust_std / STD, rtol=1e-12)
     assert not limit.spread.any()
 
 
-def scored(score: float) -> tuple[EffectScore, ...]:
+def scores_of(score: float) -> tuple[EffectScore, ...]:
     """An effect that would move the parameters a lot."""
     shift = np.full(2, 5.0 * MATERIAL)
     return (EffectScore(EFFECTS['current_offset'], score, shift, np.ones(1)),)
@@ -123,7 +123,7 @@ def scored(score: float) -> tuple[EffectScore, ...]:
 
 @pytest.mark.parametrize('is_doubted', [False, True])
 def test_half_of_a_score_lets_a_misfit_stand(is_doubted: bool) -> None:
-    less = analysis(scores=scored(0.5 * (1.0 + STANDING) * SCORE_MEASURED))
+    less = analysis(scores=scores_of(0.5 * (1.0 + STANDING) * SCORE_MEASURED))
     again = judge(less, STD, SAMPLES, speed_measured=True, stamps_exact=True, is_doubted=is_doubted)
     assert again.verdict is (FitVerdict.MISFIT if is_doubted else FitVerdict.OK)
 
@@ -134,7 +134,7 @@ def test_under_colour_an_effect_must_stand_out_further_where_no_speed_is_measure
 ) -> None:
     score = 0.5 * (SCORE_UNMEASURED + SCORE_DOUBT)
     robust_std = np.full(2, 1e-3)
-    coloured = analysis(scores=scored(score), whiteness=whiteness, robust_std=robust_std)
+    coloured = analysis(scores=scores_of(score), whiteness=whiteness, robust_std=robust_std)
     limit = judge(coloured, STD, SAMPLES, speed_measured=False, stamps_exact=True)
     assert (limit.verdict is FitVerdict.MISFIT) == (whiteness == 1.0)
 

@@ -309,7 +309,10 @@ def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(r
     )  # another topic than that of diagnostics: either may be first
     assert [message.data for message in said] == [False, True]
     rig.send(recording, range(840, 860))
-    rig.wait_for_level(DiagnosticStatus.WARN, 'blocked rotor, open brush, changed winding, weak')
+    rig.wait_for_level(
+        DiagnosticStatus.WARN,
+        'blocked rotor, open brush, changed winding, weak magnet or a wrong sensor?',
+    )
     assert rig.call(Trigger, 'reset').success
     assert rig.latched(Bool, 'motor/alarm').data is False
 

@@ -54,7 +54,7 @@ def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[Dou
     doubts = _presliding(run, _is_held(white_box, run), values.get('back_emf_constant', 0.0))
     if isinstance(run, RotorFreeRun):
         doubts += _other_friction(run, values)
-    return [doubt for doubt in doubts if np.isfinite(doubt.response_a).all()]
+    return doubts
 
 
 def _presliding(run: FreeRun, is_held: Array, back_emf_constant: float) -> list[Doubt]:

@@ -43,14 +43,13 @@ def late_speed_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[D
     assert isinstance(white_box, MotorWhiteBox)
     if not white_box.speed_measured or 'back_emf_constant' not in white_box.context_nodes:
         return []
-    constant = white_box.values(theta)['back_emf_constant']
-    change = np.where(run.is_whole, np.diff(run.stretch.speed_rad_s[0]), 0.0)
     lag = lag_of_speed(run)
     if not lag.mean > SHOWN_STDS * lag.std:
         return []
     size = math.hypot(lag.size, UNEXPLAINED)
-    response_a = size * run.response(-constant * change[None])[0]
-    return [Doubt(response_a)] if np.isfinite(response_a).all() else []
+    change = np.where(run.is_whole, np.diff(run.stretch.speed_rad_s[0]), 0.0)
+    back_emf_v = white_box.values(theta)['back_emf_constant'] * size * change
+    return [Doubt(run.response(-back_emf_v[None])[0])]
 
 
 def lag_of_speed(run: FreeRun) -> Amount:

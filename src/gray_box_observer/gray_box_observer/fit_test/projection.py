@@ -154,6 +154,8 @@ class Projection:
             noise_a: standard deviation of the residual.
             is_white: whether it is white.
         """
+        if not np.isfinite(doubt.response_a).all():  # of an absurd motor
+            return np.empty((0, self._unknowns - 1))
         amount = self.amount(doubt.response_a, noise_a, is_white=is_white).likely(1.0)
         if abs(amount.mean) < doubt.least_stds * amount.std:
             return np.empty((0, self._unknowns - 1))

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,15 +43,15 @@ def write_json(result: dict[str, Any], target: str) -> None:
     Raises:
         GrayBoxError: the file cannot be written.
     """
-    parts = json.JSONEncoder(indent=2, allow_nan=False).iterencode(plain(result))
+    write = partial(json.dump, plain(result), indent=2, allow_nan=False)  # in pieces: it is long
     if target == '-':
         with readers_may_leave(sys.stdout):
-            sys.stdout.writelines(parts)
+            write(fp=sys.stdout)
             print()
         return
     try:
         with Path(target).open('w', encoding='utf-8') as stream:
-            stream.writelines(parts)
+            write(fp=stream)
             stream.write('\n')
     except OSError as error:
         raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
