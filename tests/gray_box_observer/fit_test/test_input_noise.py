@@ -17,7 +17,7 @@ from linear_motor_records import (
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.free_run import free_run
-from gray_box_observer.fit_test.input_noise import input_noise_scores
+from gray_box_observer.fit_test.input_noise import input_noise_scores, voltage_variances
 from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
@@ -107,7 +107,8 @@ def _shift(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
     p = _coordinates(white_box)
     run = free_run(white_box, p, stretch)
     projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
-    return projection.shift_of_scores(input_noise_scores(white_box, p, run))
+    scores = input_noise_scores(white_box, p, run, voltage_variances(run))
+    return projection.shift_of_scores(scores)
 
 
 def _fitted_step(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:

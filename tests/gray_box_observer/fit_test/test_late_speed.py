@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.late_speed import lag_of_speed, late_speed_doubts
-from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.residual_analysis import LEAST_SQUARES, analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
@@ -83,11 +83,13 @@ def test_the_lag_is_as_uncertain_as_the_speed_is_noisy() -> None:
 
 
 def _open_std(speed_rad_s: Floats, voltage_v: Floats, current_a: Floats) -> float:
-    """Standard deviation of the logarithm of R that is left open, of a noisy current."""
+    """Standard deviation of log R that is left open, of a noisy current, at its least squares."""
     noise_a = 0.01 * np.std(current_a) * np.random.default_rng(1).normal(size=SAMPLES)
     stretch = Record(voltage_v, current_a + noise_a).stretch
     stretch.speed_rad_s[0] = speed_rad_s
-    shifts = analyse(WHITE_BOX, to_coordinates(THETA[None]), stretch).open_shifts
+    evidence = analyse(WHITE_BOX, to_coordinates(THETA[None]), stretch).evidence
+    least_squares = np.exp([evidence.amount(f'{LEAST_SQUARES}{name}').mean for name in NODES])
+    shifts = analyse(WHITE_BOX, to_coordinates(least_squares[None]), stretch).open_shifts
     return float(np.sqrt((shifts[:, RESISTANCE] ** 2).sum()))
 
 

@@ -235,7 +235,7 @@ def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
 @pytest.mark.slow
 def test_a_test_that_changes_nothing_that_is_believed_says_so() -> None:
     """Who publishes sends an estimate again only where its test has changed it."""
-    observer = _healthy().observed()
+    observer = _healthy().observed(stamps_exact=True)
     group = observer.group_of('motor')
     assert group.observer is not None
     group.observer.retested()

@@ -10,6 +10,7 @@ import pytest
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.effects import EFFECTS
+from gray_box_observer.fit_test.evidence import MATURE, NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.policy import (
     FEW_PERIODS,
     MATERIAL,
@@ -18,13 +19,15 @@ from gray_box_observer.fit_test.policy import (
     SCORE_DOUBT,
     SCORE_MEASURED,
     SCORE_UNMEASURED,
+    STAMP_STD,
+    STAMP_STDS,
     STANDING,
     WHITENESS_DOUBT,
     WHITENESS_WIDENS,
     Judgement,
     judge,
 )
-from gray_box_observer.fit_test.projection import UNKNOWN, bandwidth
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount, bandwidth
 from gray_box_observer.fit_test.residual_analysis import (
     EffectScore,
     ResidualAnalysis,
@@ -52,6 +55,7 @@ def analysis(**findings: object) -> ResidualAnalysis:
         moving_noise_a=0.0,
         open_shifts=np.empty((0, 2)),
         persistence=0.0,
+        evidence=NO_EVIDENCE,
     )
     return replace(nothing, **findings)  # type: ignore[arg-type]
 
@@ -146,3 +150,17 @@ def test_a_winding_that_heats_may_leave_no_colour(is_drifting: bool) -> None:
         coloured, STD, SAMPLES, speed_measured=True, stamps_exact=True, is_drifting=is_drifting
     )
     assert limit.verdict is (FitVerdict.MISFIT if is_drifting else FitVerdict.WARNING)
+
+
+@pytest.mark.parametrize('is_mature', [False, True])
+def test_a_small_error_of_the_stamps_counts_once_more_than_a_window_tells_of_it(
+    is_mature: bool,
+) -> None:
+    """It is not shown, and leaves L open by 2 %."""
+    shift, told = np.array([-0.4, 0.0]), Amount(0.5 * STAMP_STDS * STAMP_STD, STAMP_STD)
+    evidence = Evidence({}, MATURE + 1.0 if is_mature else 100.0)
+    doubted = analysis(delay=StampError(shift, told), evidence=evidence)
+    limit = judge(doubted, STD, SAMPLES, speed_measured=True, stamps_exact=False)
+    size = told.likely(STAMP_STD).size
+    expected = size * size * np.outer(shift, shift) if is_mature else np.zeros((2, 2))
+    np.testing.assert_allclose(limit.spread, expected, rtol=1e-12)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.fit_test.assessment import FitAssessment
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.white_box.interface import Array
 
@@ -36,6 +37,7 @@ class FitResult:
             this one or one before.
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
+        evidence: what its tests have told together.
     """
 
     assessment: FitAssessment
@@ -48,6 +50,7 @@ class FitResult:
     misfits: int
     noise_a: float
     has_fitted: bool
+    evidence: Evidence = NO_EVIDENCE
 
     @property
     def is_lasting_misfit(self) -> bool:
@@ -73,6 +76,7 @@ class FitResult:
             'misfits': self.misfits,
             'noise_a': self.noise_a,
             'has_fitted': self.has_fitted,
+            'evidence': self.evidence.to_dict(),
         }
 
     @classmethod
@@ -90,4 +94,5 @@ class FitResult:
             plain['misfits'],
             plain.get('noise_a', 0.0),  # releases before kept none
             plain.get('has_fitted', True),  # likewise
+            Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
         )

@@ -20,6 +20,7 @@ answers: what noise of the voltage does through the speed is left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,13 +131,20 @@ class _Motion:
         return end[0], by_coordinate[:, 0]
 
 
-def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
+BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_before'
+"""Names of the two variances of a voltage's noise, see :func:`voltage_variances`."""
+
+
+def input_noise_scores(
+    white_box: WhiteBox, p: Array, run: FreeRun, variances: Mapping[str, Amount]
+) -> Array:
     """Return the mean products of slopes and residual that noise of voltage and speed makes.
 
     Args:
         white_box: of one motor.
         p: shape (1, coordinate): its present values.
         run: its free run at these.
+        variances: of the voltage's noise in V2, as :func:`voltage_variances` has them.
 
     Returns:
         Shape (1 + coordinate,): by the first state and by the coordinates' logarithms; zero where
@@ -144,10 +152,9 @@ def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
     """
     assert isinstance(white_box, MotorWhiteBox)
     scores = np.zeros(1 + p.shape[1])
-    innovation_a = run.residual_a[1:] - run.decay * run.residual_a[:-1]
-    voltage_v2 = _voltage_variance(run, innovation_a)
+    voltage_v2 = _voltage_variance(run, variances)
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
-    if not voltage_v2 + std_rad_s > 0.0:
+    if not max(voltage_v2, std_rad_s) > 0.0:
         return scores
     motion, weight = _Motion(white_box, p, run), _lasting_weight(run)
     products = np.zeros((p.shape[1], run.decay.size))
@@ -156,7 +163,7 @@ def input_noise_scores(white_box: WhiteBox, p: Array, run: FreeRun) -> Array:
         products += push.products * weight
     if std_rad_s > 0.0:
         start, end = motion.push(start_rad_s=std_rad_s), motion.push(end_rad_s=std_rad_s)
-        share = _share_of_noise(run, innovation_a, start, end, std_rad_s)
+        share = _share_of_noise(run, start, end, std_rad_s)
         products += share * end.products * run.weight[1:]
         products += share * start.after(end, run.decay).products * weight
     scores[1:] = -products.sum(axis=1)
@@ -181,40 +188,48 @@ def _speed_std(run: FreeRun) -> float:
     return std_rad_s if std_rad_s > LEAST_RAD_S else 0.0
 
 
-def _voltage_variance(run: FreeRun, innovation_a: Array) -> float:
-    """Variance in V2 of a noise of the voltage that the current does not answer.
+def _innovation(run: FreeRun) -> Array:
+    """Return what an interval adds to the residual, shape (k,)."""
+    return run.residual_a[1:] - run.decay * run.residual_a[:-1]
+
+
+def voltage_variances(run: FreeRun) -> dict[str, Amount]:
+    """Return variances in V2 of a noise of the voltage that the current does not answer.
 
     Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one volt
     does to the current. The innovation at the end of its interval, ``r' - a r`` of the residual,
     has the mean product ``-b s^2`` with ``d``. Where a controller answers the noise of every
     reading, that is false. But the residual ``r'`` itself has the mean product ``-b (1 - a) s^2``
-    with the voltage less the one before, and these only know earlier readings. That tells little;
-    where a controller is seen to answer, its upper end counts.
+    with the voltage less the one before, and these only know earlier readings. That tells little.
     """
-    voltage_v = run.stretch.voltage_v[0]
     gain = run.reach_s / run.inductance_h
     whole = run.is_whole
-    change_v = np.diff(voltage_v)
+    change_v = np.diff(run.stretch.voltage_v[0])
     by_neighbours = _noise_variance(
         -0.5 * np.diff(change_v),
-        innovation_a[1:-1],
+        _innovation(run)[1:-1],
         gain[1:-1],
         whole[:-2] & whole[1:-1] & whole[2:],
     )
     by_the_one_before = _noise_variance(
         change_v, run.residual_a[2:], (gain * (1.0 - run.decay))[1:], whole[:-1] & whole[1:]
     )
+    return {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
+
+
+def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
+    """Return the variance in V2 that counts; under a controller that answers, its upper end."""
+    by_neighbours = variances[BY_NEIGHBOURS]
+    by_the_one_before = variances[BY_THE_ONE_BEFORE]
     if by_neighbours.mean < -SURE * by_neighbours.std:  # no noise does that: a controller answers
         upper_v2 = max(0.0, by_the_one_before.mean + by_the_one_before.std)
-        noise_v = difference_noise(voltage_v)
+        noise_v = difference_noise(run.stretch.voltage_v[0])
         return min(upper_v2, noise_v * noise_v)
-    variances = by_neighbours, by_the_one_before
-    return max(one.mean if one.mean > SURE * one.std else 0.0 for one in variances)
+    both = by_neighbours, by_the_one_before
+    return max(one.mean if one.mean > SURE * one.std else 0.0 for one in both)
 
 
-def _share_of_noise(
-    run: FreeRun, innovation_a: Array, start: _Push, end: _Push, std_rad_s: float
-) -> float:
+def _share_of_noise(run: FreeRun, start: _Push, end: _Push, std_rad_s: float) -> float:
     """Share of a speed's supposed variance that the current lets be noise, 0 to 1.
 
     A shaft that really runs so restlessly is no noise, and neither is a speed that is sampled too
@@ -222,6 +237,7 @@ def _share_of_noise(
     """
     whole = run.is_whole
     gain = 0.5 * (start.current_a[1:] + end.current_a[:-1]) / std_rad_s
+    innovation_a = _innovation(run)
     both_a = innovation_a[1:] + innovation_a[:-1]
     difference_rad_s = -0.5 * np.diff(run.stretch.speed_rad_s[0], 2)
     variance = _noise_variance(difference_rad_s, both_a, gain, whole[1:] & whole[:-1])

@@ -248,7 +248,8 @@ def judge(
     unknown_shifts = [(late, analysis.delay.shift), *((1.0, row) for row in analysis.open_shifts)]
     if not stamps_exact:
         unknown_shifts += [
-            (_doubted_amount(error), error.shift) for error in (analysis.delay, analysis.lead)
+            (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
+            for error in (analysis.delay, analysis.lead)
         ]
     for amount, unknown_shift in unknown_shifts:
         shift = amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
@@ -275,15 +276,20 @@ def shows_change(analysis: ResidualAnalysis) -> bool:
     return analysis.ratio > RATIO_DOUBT and analysis.whiteness > WHITENESS_DOUBT
 
 
-def _doubted_amount(error: StampError) -> float:
+def _doubted_amount(error: StampError, *, is_mature: bool) -> float:
     """Return the error of a driver's stamps that may be there, in sample intervals.
 
-    It counts where the data tell one, or where they do not and the inductance would be useless.
+    At first it counts where the data tell one, or where they do not and the inductance would be
+    useless.
+
+    Args:
+        error: as the data have it.
+        is_mature: whether the tests rest on more than one window: then it always counts.
     """
     amount = error.amount.likely(STAMP_STD)
     is_shown = abs(amount.mean) > STAMP_STDS * amount.std
     is_open = amount.std * abs(float(error.shift[INDUCTANCE])) > OPEN
-    return amount.size if is_shown or is_open else 0.0
+    return amount.size if is_shown or is_open or is_mature else 0.0
 
 
 def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> bool:

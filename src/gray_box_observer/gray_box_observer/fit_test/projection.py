@@ -163,8 +163,19 @@ class Projection:
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""
-        products = self._q * self.remainder[:, None]
-        spread = _solved(self._r, long_run_covariance(products)) / self._scale[:, None]
+        return self._std(long_run_covariance(self._q * self.remainder[:, None]))
+
+    def white_std(self, noise_a: float) -> Array:
+        """Standard deviations of the log-parameters, shape (parameter,), under white noise.
+
+        Args:
+            noise_a: standard deviation of it.
+        """
+        return self._std(noise_a * noise_a * np.eye(self._scale.size))
+
+    def _std(self, covariance: Array) -> Array:
+        """Standard deviations of the log-parameters by the covariance of the products."""
+        spread = _solved(self._r, covariance) / self._scale[:, None]
         spread = (_solved(self._r, spread.T) / self._scale[:, None])[
             1 : self._unknowns, 1 : self._unknowns
         ]

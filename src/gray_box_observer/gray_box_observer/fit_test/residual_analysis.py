@@ -18,9 +18,15 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
-from gray_box_observer.fit_test.input_noise import input_noise_scores
+from gray_box_observer.fit_test.input_noise import (
+    BY_NEIGHBOURS,
+    BY_THE_ONE_BEFORE,
+    input_noise_scores,
+    voltage_variances,
+)
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.projection import (
     DISTINCT,
@@ -75,6 +81,14 @@ PERSISTENT_LAG = 1.0 / 3.0
 
 FEWEST_MECHANICAL = 20.0
 """Sample intervals in such a time constant, from which noise with a memory is none of a load."""
+
+DELAY, LEAD, LEAST_SQUARES = 'delay', 'lead', 'least_squares.'
+"""Names of what windows tell: errors of stamps in sample intervals, and logarithms of parameters.
+"""
+
+STEP_STDS, MATURE_STEP_STDS = 3.0, 2.0
+"""Standard deviations of the least squares of all windows from which an estimate is not there, and
+the same once it rests on more than one window: the prior holds an estimate at first."""
 
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
@@ -136,6 +150,7 @@ class ResidualAnalysis:
             be off, each by what the residual does not show: which of two twins it is, noise of
             measured voltage and speed, a friction that is not quite that of the white box, and a
             speed that comes late.
+        evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
     """
@@ -153,6 +168,7 @@ class ResidualAnalysis:
     moving_noise_a: float
     open_shifts: Array
     persistence: float
+    evidence: Evidence
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
@@ -185,6 +201,8 @@ def analyse(
     p: Array,
     stretch: SampleWindow,
     is_drifting: bool = False,
+    earlier: Evidence = NO_EVIDENCE,
+    new: int | None = None,
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor.
 
@@ -193,6 +211,8 @@ def analyse(
         p: shape (1, coordinate): published values as coordinates.
         stretch: the newest samples, with a motor axis of one.
         is_drifting: whether what heats is known to drift, which is no misfit then.
+        earlier: what earlier windows have told.
+        new: how many samples came after the last of these; None: all of the stretch.
     """
     run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
     step_a = float(quantisation_step(stretch.state)[0])
@@ -212,21 +232,29 @@ def analyse(
         late_remainder = projection.without(projection.with_weight(run.residual_a))
     is_white = whiteness <= COLOURED
     noise_a = max(size_a, floor_a)
+    robust_std = np.full(p.shape[1], np.nan) if is_white else projection.robust_std()
     theta = to_parameters(p)[0]
-    later_a, earlier_a = _stamp_responses(run)
+    later_a, sooner_a = _stamp_responses(run)
+    window = {
+        DELAY: projection.amount(later_a, noise_a, is_white=is_white),
+        LEAD: projection.amount(
+            sooner_a, noise_a, is_white=is_white, instrument_a=_instrument(run, sooner_a)
+        ),
+        **voltage_variances(run),
+    }
+    if not (white_box.has_rotor or is_drifting):
+        window |= _least_squares_values(white_box, theta, projection, noise_a, robust_std)
+    count = residual.size
+    evidence = earlier.with_window(window, count, count if new is None else new)
     delay, lead = (
-        StampError(
-            -projection.shift(projection.with_weight(response_a)),
-            projection.amount(response_a, noise_a, is_white=is_white, instrument_a=instrument_a),
-        )
-        for response_a, instrument_a in (
-            (later_a, None),
-            (earlier_a, _instrument(run, earlier_a)),
-        )
+        StampError(-projection.shift(projection.with_weight(response_a)), evidence.amount(name))
+        for name, response_a in ((DELAY, later_a), (LEAD, sooner_a))
     )
+    variances = {name: evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
     open_shifts = [
         swap_shifts(white_box, run, theta, noise_a),
-        projection.shift_of_scores(input_noise_scores(white_box, p, run))[None],
+        projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
+        _shown_steps(white_box, theta, evidence),
         *(
             projection.open_shift(doubt, noise_a, is_white=is_white)
             for doubt in (
@@ -241,7 +269,7 @@ def analyse(
         ratio=size_a / floor_a,
         whiteness=whiteness,
         scores=_scores(run, projection, scene_of(white_box, run), least_a, late_remainder),
-        robust_std=np.full(p.shape[1], np.nan) if is_white else projection.robust_std(),
+        robust_std=robust_std,
         delay=delay,
         lead=lead,
         intervals=_intervals(white_box, p, stretch),
@@ -249,6 +277,7 @@ def analyse(
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(open_shifts),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
+        evidence=evidence,
     )
 
 
@@ -261,6 +290,40 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
         None if speed is None else interval_means(speed),
         has_rotor=white_box.has_rotor,
     )
+
+
+def _least_squares_values(
+    white_box: WhiteBox, theta: Array, projection: Projection, noise_a: float, robust_std: Array
+) -> dict[str, Amount]:
+    """Return the logarithms of the parameters where the window has its least squares, by name.
+
+    The estimate is near them: one step of Gauss and Newton will do, and errs by its square.
+    """
+    steps = projection.shift(projection.residual)
+    stds = np.fmax(projection.white_std(noise_a), robust_std)
+    values = zip(white_box.parameters, theta, steps, stds, strict=True)
+    return {
+        f'{LEAST_SQUARES}{parameter.name}': Amount(
+            math.log(value) + step, math.hypot(std, step * step)
+        )
+        for parameter, value, step, std in values
+    }
+
+
+def _shown_steps(white_box: WhiteBox, theta: Array, evidence: Evidence) -> Array:
+    """Return how far the estimate is from the least squares of all windows, (1, parameter).
+
+    Noise that is not white moves an estimate that linearises about noisy readings. The free run is
+    not moved.
+    """
+    steps = np.zeros((1, theta.size))
+    least_stds = MATURE_STEP_STDS if evidence.is_mature else STEP_STDS
+    for place, parameter in enumerate(white_box.parameters):
+        amount = evidence.amount(f'{LEAST_SQUARES}{parameter.name}')
+        step = amount.mean - math.log(theta[place])
+        if abs(step) > least_stds * amount.std:
+            steps[0, place] = step
+    return steps
 
 
 def _stamp_responses(run: FreeRun) -> Array:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitVerdict
+from gray_box_observer.fit_test.evidence import MOST as MOST_AMOUNT
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -20,6 +22,7 @@ from gray_box_observer.safe_io.saved_state import (
     group,
     number,
     number_or_none,
+    numbers,
     positive,
     whole,
 )
@@ -33,6 +36,9 @@ MOST_SUSPECTS = 3
 
 LONGEST_REMEDY = 500
 """Characters of a remedy."""
+
+MOST_AMOUNTS = 32
+"""Amounts that tests tell of one motor, at most."""
 
 MOST_AHEAD = 65536
 """Samples, at most, by which a test may stand ahead of what is remembered: where the speed of the
@@ -78,11 +84,11 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
             raise CheckpointError(
                 'a suspect of the fit has a name or a remedy that nobody can have written'
             )
-    numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
-    check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
-    check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
-    check_covariance('fit.spread', numbers['spread'])
-    check_array('fit.theta', numbers['theta'], positive(parameters))
+    arrays = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
+    check_array('fit.factor', arrays['factor'], ArrayRule((parameters,), 1.0, LARGEST))
+    check_array('fit.spread', arrays['spread'], ArrayRule((parameters, parameters)))
+    check_covariance('fit.spread', arrays['spread'])
+    check_array('fit.theta', arrays['theta'], positive(parameters))
     whole(plain, 'place', -MOST, MOST_AHEAD)
     whole(plain, 'begin', -MOST, MOST_AHEAD)
     whole(plain, 'wait', 1, LONGEST_WAIT)
@@ -92,6 +98,24 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         number(plain, 'noise_a', 0.0, LARGEST)
     if 'has_fitted' in plain:
         flag(plain, 'has_fitted')
+    if 'evidence' in plain:
+        check_evidence(group(plain, 'evidence'))
+
+
+def check_evidence(plain: Mapping[str, Any]) -> None:
+    """Refuse evidence that no test could have left.
+
+    Raises:
+        CheckpointError: it is such.
+    """
+    number(plain, 'samples', 0.0, float(MOST))
+    amounts = group(plain, 'amounts')
+    if len(amounts) > MOST_AMOUNTS:
+        raise CheckpointError(f'fit.evidence holds {len(amounts)} amounts, at most {MOST_AMOUNTS}')
+    for name in amounts:
+        pair = numbers(amounts, name, ArrayRule((2,), -MOST_AMOUNT, MOST_AMOUNT))
+        if not pair[1] > 0.0:
+            raise CheckpointError('fit.evidence has a standard deviation that is none')
 
 
 def _saved_numbers(plain: dict[str, Any], name: str) -> Array:

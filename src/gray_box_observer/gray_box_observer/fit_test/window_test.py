@@ -29,6 +29,7 @@ from gray_box_observer.fit_test.effects import (
     REMEDIES,
     ROTOR_REMEDIES,
 )
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
 from gray_box_observer.fit_test.policy import (
@@ -126,6 +127,20 @@ class MotorUnderTest:
         if self.before is not None and not self.before.has_fitted:
             return min(self._stored_count, most)
         return int(min(self.nodes.replay.remembered(self.one)[0], most))
+
+    @property
+    def evidence(self) -> Evidence:
+        """What its tests have told together, since it last changed."""
+        before = self.before
+        if before is None or self.begin > before.begin:
+            return NO_EVIDENCE
+        return before.evidence.of_newest(self.place - self.begin)
+
+    @property
+    def new_samples(self) -> int:
+        """How many have come since its last test."""
+        before = self.before
+        return self.place - (self.begin if before is None else before.place)
 
     def newest(self, count: int) -> Array:
         """Return its newest samples, shape (signal, 1, n)."""
@@ -227,6 +242,8 @@ class WindowTest:
                 to_coordinates(theta),
                 window,
                 is_drifting,
+                motor.evidence,
+                motor.new_samples,
             )
         judgement = judge(
             analysis,
@@ -299,7 +316,13 @@ class WindowTest:
         is_ok = judgement.verdict is FitVerdict.OK and not is_held(samples[VOLTAGE])
         if before is not None and not is_misfit and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
-            return replace(before, place=motor.place, begin=motor.begin, wait=wait)
+            return replace(
+                before,
+                place=motor.place,
+                begin=motor.begin,
+                wait=wait,
+                evidence=analysis.evidence,
+            )
         assessment = FitAssessment(
             judgement.verdict, analysis.ratio, analysis.whiteness, _first_of_each(suspects),
             analysis.samples,
@@ -316,6 +339,7 @@ class WindowTest:
             1 + earlier_misfits if is_misfit else 0,
             finding.noise_a,
             is_ok or (before is not None and before.has_fitted),
+            motor.evidence if is_misfit else analysis.evidence,
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:

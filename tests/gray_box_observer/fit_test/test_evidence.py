@@ -1,0 +1,100 @@
+"""What tests tell of an amount is pooled by its variance, and no sample counts twice."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, noise, steps
+
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test.evidence import MATURE, NO_EVIDENCE, Evidence
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount
+from gray_box_observer.fit_test.residual_analysis import DELAY, LEAST_SQUARES, analyse
+from gray_box_observer.fit_test.saved_test import check_evidence
+
+SAMPLES = 4000
+MOVED = 0.1
+"""By how much the inductance is not what fits, as a logarithm."""
+
+
+def test_windows_side_by_side_count_by_their_variance() -> None:
+    first = NO_EVIDENCE.with_window({DELAY: Amount(1.0, 0.1)}, 1000, 1000)
+    both = first.with_window({DELAY: Amount(2.0, 0.2)}, 1000, 1000)
+    amount = both.amount(DELAY)
+    assert amount.mean == pytest.approx((1.0 / 0.01 + 2.0 / 0.04) / (1.0 / 0.01 + 1.0 / 0.04))
+    assert amount.std == pytest.approx((1.0 / 0.01 + 1.0 / 0.04) ** -0.5)
+    assert both.samples == 2000.0
+
+
+def test_many_windows_tell_as_much_as_their_samples_do() -> None:
+    evidence = NO_EVIDENCE
+    for _ in range(9):  # each holds half of the one before
+        evidence = evidence.with_window({DELAY: Amount(0.5, 0.1)}, 4096, 2048)
+    assert evidence.amount(DELAY).mean == pytest.approx(0.5)
+    assert evidence.amount(DELAY).std == pytest.approx(0.1 / math.sqrt(1.0 + 8.0 / 2.0))
+    assert evidence.is_mature
+
+
+def test_a_window_that_holds_all_samples_stands_for_all() -> None:
+    few = NO_EVIDENCE.with_window({DELAY: Amount(9.0, 0.1)}, 64, 64)
+    assert few.with_window({DELAY: Amount(0.0, 0.05)}, 128, 64) == Evidence(
+        {DELAY: Amount(0.0, 0.05)}, 128
+    )
+
+
+def test_what_says_nothing_leaves_all_as_it_is() -> None:
+    known = NO_EVIDENCE.with_window({DELAY: Amount(1.0, 0.1)}, 1000, 1000)
+    for nothing in (UNKNOWN, Amount(math.nan, 0.1), Amount(1.0, math.nan), Amount(1.0, 0.0)):
+        assert known.with_window({DELAY: nothing}, 1000, 1000).amount(DELAY) == Amount(1.0, 0.1)
+    assert known.amount('another') == UNKNOWN
+
+
+def test_fewer_samples_tell_less() -> None:
+    known = Evidence({DELAY: Amount(1.0, 0.1)}, 4000.0)
+    assert known.of_newest(5000) is known
+    assert known.of_newest(1000).amount(DELAY) == Amount(1.0, pytest.approx(0.2))
+    assert known.of_newest(0).amount(DELAY) == UNKNOWN
+
+
+def test_a_checkpoint_takes_it_back() -> None:
+    known = Evidence({DELAY: Amount(1.0, 0.1)}, 4000.0)
+    plain = known.to_dict()
+    check_evidence(plain)
+    assert Evidence.from_dict(plain) == known
+
+
+@pytest.mark.parametrize(
+    'pair', [[0.0, 0.0], [0.0, -1.0], [math.nan, 1.0], [0.0, math.inf], [0.0], 'no', [1e300, 1.0]]
+)
+def test_a_checkpoint_with_absurd_evidence_is_refused(pair: object) -> None:
+    with pytest.raises(CheckpointError):
+        check_evidence({'samples': 10.0, 'amounts': {DELAY: pair}})
+    with pytest.raises(CheckpointError):
+        check_evidence({'samples': -1.0, 'amounts': {}})
+    with pytest.raises(CheckpointError):
+        check_evidence({'samples': 1.0, 'amounts': {f'{k}': [0.0, 1.0] for k in range(99)}})
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_an_estimate_beside_the_least_squares_is_open_by_the_distance(seed: int) -> None:
+    voltage_v = steps(SAMPLES, seed)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.05, seed + 100))
+    inductance = f'{LEAST_SQUARES}inductance'
+    there = analyse(WHITE_BOX, TRUTH, record.stretch)
+    assert np.abs(there.open_shifts).max() < 0.2 * MOVED
+    beside = TRUTH * np.exp(-MOVED)  # of the coordinates 1/L and R/L
+    away = analyse(WHITE_BOX, beside, record.stretch)
+    least_squares = there.evidence.amount(inductance)
+    assert away.evidence.amount(inductance).mean == pytest.approx(least_squares.mean, abs=0.01)
+    assert np.abs(away.open_shifts)[:, 0].max() == pytest.approx(MOVED, rel=0.3)
+
+
+def test_evidence_goes_on_from_window_to_window() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.05, 7))
+    one = analyse(WHITE_BOX, TRUTH, record.stretch).evidence
+    two = analyse(WHITE_BOX, TRUTH, record.stretch, earlier=one, new=SAMPLES).evidence
+    assert two.samples == 2 * one.samples > MATURE
+    assert two.amount(DELAY).std == pytest.approx(one.amount(DELAY).std / math.sqrt(2.0), rel=1e-3)
