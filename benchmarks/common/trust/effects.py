@@ -190,6 +190,18 @@ def voltage_gain(factor: float) -> Reading:
     return lambda log, rng: replace(log, voltage_v=log.voltage_v * factor)
 
 
+def noisy_voltage(std_v: float) -> Reading:
+    """Add white noise to the voltage that is logged."""
+    return lambda log, rng: replace(
+        log, voltage_v=log.voltage_v + noise(log.voltage_v.size, std_v, rng)
+    )
+
+
+def quantised_voltage(step_v: float) -> Reading:
+    """Round the voltage that is logged."""
+    return lambda log, rng: replace(log, voltage_v=np.round(log.voltage_v / step_v) * step_v)
+
+
 def quantised_current(share: float) -> Reading:
     """Round the current to steps of a share of its standard deviation."""
 
@@ -241,6 +253,12 @@ def late_speed(samples: int) -> Reading:
         return replace(log, speed_rad_s=late)
 
     return reading
+
+
+def differenced_speed(log: Readings, rng: np.random.Generator) -> Readings:
+    """Log the mean speed of the interval before, as a difference of angles has it."""
+    speed = log.speed_rad_s
+    return replace(log, speed_rad_s=0.5 * (speed + np.concatenate([speed[:1], speed[:-1]])))
 
 
 def filtered_speed(samples: float) -> Reading:

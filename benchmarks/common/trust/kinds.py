@@ -7,7 +7,13 @@ from functools import partial
 from typing import Any
 
 from common.trust.excitations import steps
-from common.trust.motors import gear_motor, steady_motor, thesis_like_motor, thesis_motor
+from common.trust.motors import (
+    blocked_motor,
+    gear_motor,
+    steady_motor,
+    thesis_like_motor,
+    thesis_motor,
+)
 from common.trust.plant import Motor
 from common.trust.records import GEAR_START, Scenario
 
@@ -54,6 +60,12 @@ GEAR: dict[str, Any] = {
     'holds': True,
     'speed': True,
     'start': GEAR_START,
+}
+BLOCKED = GEAR | {
+    'motor': blocked_motor,
+    'speed': False,
+    'duration_s': 40.0,
+    'nodes': ('inductance', 'resistance'),
 }
 FREE = GEAR | {'motor': gear_motor, 'speed': False, 'holds': False, 'suspects': ROTOR}
 

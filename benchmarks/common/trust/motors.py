@@ -83,6 +83,13 @@ def sticky_motor(rng: np.random.Generator) -> Motor:
     )
 
 
+def blocked_motor(rng: np.random.Generator) -> Motor:
+    """Draw the winding of a geared motor whose shaft is blocked: L/R of 1.5 to 4 ms."""
+    motor = gear_motor(rng)
+    inductance = motor.resistance * log_uniform(rng, 1.5e-3, 4e-3)
+    return Motor(inductance, motor.resistance, 0.0, motor.torque_constant, motor.back_emf_constant)
+
+
 def thesis_motor(rng: np.random.Generator) -> Motor:
     """Return the motor of the thesis."""
     return Motor(0.5, 1.0, 10.0, 0.01, 0.01)

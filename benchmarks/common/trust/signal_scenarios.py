@@ -13,6 +13,7 @@ from common.trust.excitations import (
     steps,
 )
 from common.trust.kinds import (
+    BLOCKED,
     COLOURED_NOISE,
     CURRENT_LAG,
     DELAY,
@@ -42,6 +43,7 @@ def signal_scenarios() -> Iterator[Scenario]:
     yield from _noises()
     yield from _speeds()
     yield from _nothing_to_learn()
+    yield from _hardly_seen()
     yield from _mistakes()
 
 
@@ -172,6 +174,51 @@ def _nothing_to_learn() -> Iterator[Scenario]:
     )
     yield case(group, 'nothing at all', THESIS_LIKE | rest, log=(effects.resting_current,))
     yield case(group, 'current noise', FREE | rest, excitation=converter, noise=30.0)
+
+
+def _hardly_seen() -> Iterator[Scenario]:
+    """Yield what no window of a few thousand samples shows, in records of many."""
+    wrong = BLOCKED | {'holds': False}
+    noisy = wrong | {'noise': 0.1, 'suspects': DELAY}
+    group = 'small delay, noisy current'
+    yield case(group, 'voltage 0.1 samples', noisy, driver=(effects.late_voltage(0.1),))
+    yield case(group, 'voltage 0.2 samples', noisy, driver=(effects.late_voltage(0.2),))
+    yield case(group, 'lag of 0.1 samples', noisy, sensor=(effects.low_pass(0.1),))
+    yield case(group, 'lag of 0.2 samples', noisy, sensor=(effects.low_pass(0.2),))
+    group = 'noise of the voltage'
+    yield case(group, 'supply 1 V', wrong, driver=(effects.voltage_noise(1.0),))
+    yield case(group, 'reading 1 V', wrong, log=(effects.noisy_voltage(1.0),))
+    yield case(
+        group, 'supply 1 V, noise 10 %', wrong, noise=0.1, driver=(effects.voltage_noise(1.0),)
+    )
+    yield case(
+        group, 'reading 0.3 V, noise 10 %', wrong, noise=0.1, log=(effects.noisy_voltage(0.3),)
+    )
+    group = 'moves are rare, current noisy'
+    rare = steps(-12.0, 12.0, 0.5, 0.5)
+    yield case(group, 'blocked, 80 moves', BLOCKED, noise=0.02, excitation=rare)
+    yield case(group, 'blocked, noise 10 %', BLOCKED, noise=0.1)
+    yield case(
+        group, 'speed measured, 40 moves', GEAR, noise=0.02, duration_s=20.0, excitation=rare
+    )
+    yield case(group, 'speed measured, noise 3 %', GEAR, noise=0.03, duration_s=20.0)
+    group = 'readings without noise, rounded'
+    for step in (0.01, 0.03, 0.1, 0.2):
+        yield case(
+            group,
+            f'current {step:g} of the spread',
+            wrong,
+            noise=0.0,
+            duration_s=20.0,
+            log=(effects.quantised_current(step),),
+        )
+    group = 'voltage rounded'
+    yield case(group, '2 V', wrong, duration_s=20.0, log=(effects.quantised_voltage(2.0),))
+    yield case(group, '0.5 V', wrong, duration_s=20.0, log=(effects.quantised_voltage(0.5),))
+    group = 'speed by differences, noise 3 %'
+    late = GEAR | {'holds': False, 'noise': 0.03, 'duration_s': 10.0}
+    yield case(group, 'Kb known', late, log=(effects.differenced_speed,))
+    yield case(group, 'Kb too', late, log=(effects.differenced_speed,), nodes=NODES_WITH_SPEED)
 
 
 def _mistakes() -> Iterator[Scenario]:
