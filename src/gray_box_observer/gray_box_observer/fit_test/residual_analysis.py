@@ -35,6 +35,7 @@ from gray_box_observer.fit_test.projection import (
     long_run_covariance,
 )
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -147,9 +148,9 @@ class ResidualAnalysis:
         moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
             before.
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
-            be off, each by what the residual does not show: which of two twins it is, noise of
-            measured voltage and speed, a friction that is not quite that of the white box, and a
-            speed that comes late.
+            be off, each by what the residual does not show: rounding, which of two twins it is,
+            noise of measured voltage and speed, least squares elsewhere, a friction that is not
+            quite that of the white box, and a speed that comes late.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -242,8 +243,13 @@ def analyse(
         ),
         **voltage_variances(run),
     }
-    if not (white_box.has_rotor or is_drifting):
-        window |= _least_squares_values(white_box, theta, projection, noise_a, robust_std)
+    if not white_box.has_rotor:
+        values = _least_squares_values(white_box, theta, projection, noise_a, robust_std)
+        window |= {
+            name: value
+            for name, value in values.items()
+            if not is_drifting or name == f'{LEAST_SQUARES}inductance'
+        }
     count = residual.size
     evidence = earlier.with_window(window, count, count if new is None else new)
     delay, lead = (
@@ -251,7 +257,9 @@ def analyse(
         for name, response_a in ((DELAY, later_a), (LEAD, sooner_a))
     )
     variances = {name: evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
+    rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
     open_shifts = [
+        *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
         _shown_steps(white_box, theta, evidence),
@@ -268,7 +276,9 @@ def analyse(
         floor_a=floor_a,
         ratio=size_a / floor_a,
         whiteness=whiteness,
-        scores=_scores(run, projection, scene_of(white_box, run), least_a, late_remainder),
+        scores=_scores(
+            run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
+        ),
         robust_std=robust_std,
         delay=delay,
         lead=lead,
@@ -423,6 +433,7 @@ def _scores(
     scene: Scene,
     least_a: float,
     late_remainder: Array | None,
+    rounding_a: Array,
 ) -> tuple[EffectScore, ...]:
     """Test every effect but those that white residuals rule out at ``least_a`` or more.
 
@@ -433,6 +444,7 @@ def _scores(
         least_a: noise in A that is there at least.
         late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
             on which delays and lags are tested too, in all their shapes; None: they are not.
+        rounding_a: shape (place, sample): what rounding does, with weight.
     """
     fine = replace(scene, fine=True)
     candidates = [
@@ -471,7 +483,9 @@ def _scores(
             noise = max(rest_power / remainder.size, least_a**2)
             if explained_power < LIKELY * columns.size * noise:  # a white residual rules it out
                 continue
-            score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
+            of_rounding = distinct[columns] @ rounding_a.T
+            least = 0.5 * noise * own_gram + of_rounding @ of_rounding.T
+            score = _score(distinct[columns], remainder, amount, own_products, least)
             if effect.name not in best or score > best[effect.name].score:
                 shift = -projection.shift(amount @ response[columns])
                 amounts = np.zeros(len(shapes))
@@ -488,7 +502,7 @@ def _least_squares(matrix: Array, right: Array) -> Array:
 
 
 def _score(
-    distinct: Array, remainder: Array, amount: Array, products: Array, white: Array
+    distinct: Array, remainder: Array, amount: Array, products: Array, least: Array
 ) -> float:
     """Return the robust score of one alternative.
 
@@ -497,8 +511,8 @@ def _score(
         remainder: shape (sample,): what is left of the residual.
         amount: shape (column,): its size.
         products: shape (column,): ``distinct`` times ``remainder``.
-        white: shape (column, column): covariance of the products if what is left then is white.
+        least: shape (column, column): covariance that the products have at least.
     """
     rest = remainder - amount @ distinct
-    covariance = long_run_covariance((distinct * rest).T) + 0.5 * white
+    covariance = long_run_covariance((distinct * rest).T) + least
     return float(products @ _least_squares(covariance, products)) / products.size
