@@ -9,7 +9,7 @@ import pytest
 from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, noise, steps
 
 from gray_box_observer.errors import CheckpointError
-from gray_box_observer.fit_test.evidence import MATURE, NO_EVIDENCE, Evidence
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.residual_analysis import DELAY, LEAST_SQUARES, analyse
 from gray_box_observer.fit_test.saved_test import check_evidence
@@ -75,6 +75,8 @@ def test_a_checkpoint_with_absurd_evidence_is_refused(pair: object) -> None:
         check_evidence({'samples': -1.0, 'amounts': {}})
     with pytest.raises(CheckpointError):
         check_evidence({'samples': 1.0, 'amounts': {f'{k}': [0.0, 1.0] for k in range(99)}})
+    with pytest.raises(CheckpointError, match='nobody can have written'):
+        check_evidence({'samples': 1.0, 'amounts': {'\x1b[2J': [0.0, 1.0]}})
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -96,5 +98,5 @@ def test_evidence_goes_on_from_window_to_window() -> None:
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.05, 7))
     one = analyse(WHITE_BOX, TRUTH, record.stretch).evidence
     two = analyse(WHITE_BOX, TRUTH, record.stretch, earlier=one, new=SAMPLES).evidence
-    assert two.samples == 2 * one.samples > MATURE
+    assert two.samples == 2 * one.samples > WINDOW
     assert two.amount(DELAY).std == pytest.approx(one.amount(DELAY).std / math.sqrt(2.0), rel=1e-3)

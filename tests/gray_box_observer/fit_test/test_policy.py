@@ -10,7 +10,7 @@ import pytest
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.effects import EFFECTS
-from gray_box_observer.fit_test.evidence import MATURE, NO_EVIDENCE, Evidence
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.policy import (
     FEW_PERIODS,
     MATERIAL,
@@ -158,7 +158,7 @@ def test_a_small_error_of_the_stamps_counts_once_more_than_a_window_tells_of_it(
 ) -> None:
     """It is not shown, and leaves L open by 2 %."""
     shift, told = np.array([-0.4, 0.0]), Amount(0.5 * STAMP_STDS * STAMP_STD, STAMP_STD)
-    evidence = Evidence({}, MATURE + 1.0 if is_mature else 100.0)
+    evidence = Evidence({}, WINDOW + 1.0 if is_mature else 100.0)
     doubted = analysis(delay=StampError(shift, told), evidence=evidence)
     limit = judge(doubted, STD, SAMPLES, speed_measured=True, stamps_exact=False)
     size = told.likely(STAMP_STD).size

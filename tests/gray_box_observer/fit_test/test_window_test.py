@@ -10,9 +10,10 @@ import pytest
 
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.fit_test.window_test import WINDOW, MotorUnderTest
+from gray_box_observer.fit_test.window_test import MotorUnderTest
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 

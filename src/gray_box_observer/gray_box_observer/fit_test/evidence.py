@@ -14,10 +14,8 @@ from typing import Any
 
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 
-MATURE = 4096
-"""Samples that tests rest on together, from which they tell what no single window does. A parameter
-is believed within a few hundred samples, which tell little beside it. Of many thousands, its own
-deviation falls far below what an error of the stamps makes of it."""
+WINDOW = 4096
+"""Newest samples, at most, that a test looks at."""
 
 MOST = 1e12
 """Size up to which an amount is taken for one."""
@@ -37,8 +35,12 @@ class Evidence:
 
     @property
     def is_mature(self) -> bool:
-        """Whether it rests on more than any one window."""
-        return self.samples > MATURE
+        """Whether it rests on more than one window.
+
+        A parameter is believed within a few hundred samples, which tell little beside it. Of many
+        thousands, its own deviation falls far below what an error of the stamps makes of it.
+        """
+        return self.samples > WINDOW
 
     def amount(self, name: str) -> Amount:
         """Return an amount; of an unknown name, the unknown."""

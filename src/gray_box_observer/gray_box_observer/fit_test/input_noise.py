@@ -42,6 +42,9 @@ from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_before'
+"""Names of the two variances of a voltage's noise, see :func:`voltage_variances`."""
+
 STEP = 5.0
 """Standard deviations of a signal's second differences beyond which they are steps, no noise."""
 
@@ -129,10 +132,6 @@ class _Motion:
             motion = interval_motion.move(self._white_box, self._p, start, *signals)
         end, _, by_coordinate = motion.of_state(State.CURRENT)
         return end[0], by_coordinate[:, 0]
-
-
-BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_before'
-"""Names of the two variances of a voltage's noise, see :func:`voltage_variances`."""
 
 
 def input_noise_scores(

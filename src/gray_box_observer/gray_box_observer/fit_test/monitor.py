@@ -16,11 +16,12 @@ from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, 
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.saved_test import check_saved_test
-from gray_box_observer.fit_test.window_test import RECENT, WINDOW, MotorUnderTest, WindowTest
+from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 

@@ -113,6 +113,8 @@ def check_evidence(plain: Mapping[str, Any]) -> None:
     if len(amounts) > MOST_AMOUNTS:
         raise CheckpointError(f'fit.evidence holds {len(amounts)} amounts, at most {MOST_AMOUNTS}')
     for name in amounts:
+        if name != printable(name, LONGEST_REMEDY):
+            raise CheckpointError('fit.evidence has a name that nobody can have written')
         pair = numbers(amounts, name, ArrayRule((2,), -MOST_AMOUNT, MOST_AMOUNT))
         if not pair[1] > 0.0:
             raise CheckpointError('fit.evidence has a standard deviation that is none')

@@ -29,7 +29,7 @@ from gray_box_observer.fit_test.effects import (
     REMEDIES,
     ROTOR_REMEDIES,
 )
-from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
+from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
 from gray_box_observer.fit_test.policy import (
@@ -61,9 +61,6 @@ from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfig
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
-
-WINDOW = 4096
-"""Newest samples, at most, that a test looks at."""
 
 RECENT = 512
 """Newest samples by which a motor with a rotor is tested between its fits, which come ever rarer:
