@@ -33,6 +33,9 @@ ROUNDING = 1e-9
 
 KNOWN = ('identified', 'negligible')
 
+FIRST_SAMPLES = 5000
+"""Samples of every record whose costs are compared: a long record spreads its start over more."""
+
 YARDSTICK_EVERY = 200
 """Samples after which a fixed piece of work is timed: clocks of processors change by a half."""
 
@@ -53,8 +56,9 @@ class Trial:
             time.
         fit: what the result says of the fit; empty where it says nothing.
         warnings: what the user is told.
-        cost_ms: mean CPU time of a sample.
-        cost_share: the same over that of a fixed piece of work along the record.
+        cost_ms: mean CPU time of the first FIRST_SAMPLES samples.
+        cost_share: the same over that of a fixed piece of work along these.
+        whole_cost_share: the same of the whole record.
         worst_ms: largest CPU time of a sample.
         samples: how many came.
         non_finite: estimates with a value, a standard deviation or a covariance that is not finite.
@@ -76,6 +80,7 @@ class Trial:
     warnings: list[str] = field(default_factory=list)
     cost_ms: float = math.nan
     cost_share: float = math.nan
+    whole_cost_share: float = math.nan
     worst_ms: float = math.nan
     samples: int = 0
     non_finite: int = 0
@@ -205,9 +210,12 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
     _note(observer.flush(), outcome, listener)
     observer.close()
     trial.samples = len(costs_ns)
-    trial.cost_ms = float(np.mean(costs_ns)) / 1e6
+    first_ns, yardsticks_ns = costs_ns[:FIRST_SAMPLES], yardsticks_ns or [_yardstick_ns()]
+    first_yardsticks_ns = yardsticks_ns[: max(FIRST_SAMPLES // YARDSTICK_EVERY, 1)]
+    trial.cost_ms = float(np.mean(first_ns)) / 1e6
     trial.worst_ms = max(costs_ns) / 1e6
-    trial.cost_share = float(np.mean(costs_ns) / np.median(yardsticks_ns or [_yardstick_ns()]))
+    trial.cost_share = float(np.mean(first_ns) / np.median(first_yardsticks_ns))
+    trial.whole_cost_share = float(np.mean(costs_ns) / np.median(yardsticks_ns))
     return outcome
 
 
