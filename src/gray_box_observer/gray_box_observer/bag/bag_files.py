@@ -26,6 +26,9 @@ from gray_box_observer.bag.mcap.mcap_records import END_BYTES, MAGIC, MESSAGE_HE
 from gray_box_observer.bag.metadata import ListedFile, conversion, list_files
 from gray_box_observer.errors import BagError
 
+LOG_SUFFIXES = ('.csv', '.mat', '.tsv', '.txt')
+"""Of files that hold columns of numbers."""
+
 
 @dataclass(slots=True)
 class BagFile:
@@ -332,9 +335,11 @@ class BagFiles:
             size = stream.seek(0, io.SEEK_END)  # of a packed file, what it unpacks to
             stream.seek(0)
             if stream.read(len(MAGIC)) != MAGIC:
-                raise BagError(
-                    f'{path} is no MCAP file; of another kind of bag, {conversion(path)} makes one'
-                )
+                if path.suffix.lower() in LOG_SUFFIXES:
+                    remedy = '`identify NEW_BAG --from-csv LOG --columns ...` makes a bag of columns'
+                else:
+                    remedy = f'of another kind of bag, {conversion(path)} makes one'
+                raise BagError(f'{path} is no MCAP file; {remedy}')
             return walk(stream, size)
         except OSError as error:
             raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

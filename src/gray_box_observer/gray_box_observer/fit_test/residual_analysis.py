@@ -1,8 +1,8 @@
 """Residual analysis of a free run: size, whiteness, and what missing effects explain.
 
 Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a
-noise floor, the Ljung-Box statistic, and a score test of every effect with a covariance that
-correlated residuals cannot fool (Newey and West 1987).
+noise floor, the Ljung-Box statistic, and a score test of every effect. The covariance of the scores
+holds for correlated residuals too (Newey and West 1987).
 """
 
 from __future__ import annotations
