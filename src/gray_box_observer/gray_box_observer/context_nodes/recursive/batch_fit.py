@@ -58,10 +58,6 @@ stood before."""
 RECOVERY = 2.0
 """Factor by which damped steps become longer again."""
 
-IDLE_STEPS, LEAST_GAIN, COLOURED = 4, 1e-3, 2.0
-"""Steps in a row that make a residual smaller by less than that share, and end a search whose
-residual is so many times what its changes between samples leave: no white box is to be found."""
-
 CREDIBLE = 10.0
 """Times the size of the current (its 0.9 quantile): nothing is linearised about samples beyond."""
 
@@ -189,7 +185,6 @@ class _Search:
     def _begin(self) -> None:
         self._best_scale, self._best_p = np.full_like(self._scale, np.inf), self._p
         self._damping = np.ones_like(self._scale)
-        self._idle_steps = np.zeros(self._scale.shape, dtype=int)
 
     def select(self, selection: NDArray[np.bool_]) -> _Search:
         """Return the search of some of the motors."""
@@ -228,8 +223,7 @@ class _Search:
                 if not advances.any():
                     continue
             search._keep_best(advances)
-            is_stuck = search._is_stuck()
-            there = advances & (search._step(advances) | is_stuck)
+            there = advances & search._step(advances)
             if iteration > plain_steps and np.any(there):
                 converged_searches.append(search.select(there))
                 if np.all(there):
@@ -242,17 +236,8 @@ class _Search:
         longer = np.minimum(1.0, RECOVERY * self._damping)
         self._damping = np.where(advances, longer, self._damping)
         best = advances & (self._scale < self._best_scale)
-        gains = self._scale < (1.0 - LEAST_GAIN) * self._best_scale
-        self._idle_steps = np.where(gains, 0, self._idle_steps + advances)
         self._best_p = np.where(best[:, None], self._p, self._best_p)
         self._best_scale = np.where(best, self._scale, self._best_scale)
-
-    def _is_stuck(self) -> NDArray[np.bool_]:
-        """Tell of each motor if no step helps any more, and what is left is no white noise."""
-        is_idle: NDArray[np.bool_] = self._idle_steps >= IDLE_STEPS
-        if is_idle.any():
-            is_idle &= self._scale > COLOURED * self._sharp_scale()
-        return is_idle
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:
         """Return some motors to their best coordinates so far, with smaller steps from there."""
