@@ -22,7 +22,9 @@ def entry(value: float | None, std: float | None, unit: str) -> dict[str, object
     return {'value': value, 'std': std, 'unit': unit, 'verdict': 'identified'}
 
 
-def text_of(fit: FitVerdict = FitVerdict.OK, **changed: object) -> list[str]:
+def text_of(
+    fit: FitVerdict = FitVerdict.OK, *, stamps_exact: bool = False, **changed: object
+) -> list[str]:
     """Return the lines that are written of one motor."""
     motor = {
         'samples': 100,
@@ -38,7 +40,7 @@ def text_of(fit: FitVerdict = FitVerdict.OK, **changed: object) -> list[str]:
     }
     stream = io.StringIO()
     fits = {'m': FitAssessment(fit, 1.0, 1.0, (), 100)}
-    write_text({'motors': {'m': motor}}, fits, stream)
+    write_text({'motors': {'m': motor}}, fits, stream, (), ['m'] if stamps_exact else ())
     return stream.getvalue().splitlines()
 
 
@@ -78,23 +80,30 @@ def test_every_number_of_a_delay_has_its_unit() -> None:
     assert '0.05 +- 0.0001 s found in the data; 0 s applied' in '\n'.join(said)
 
 
-def steps_of(verdict: str = 'unexcited', fit: FitVerdict = FitVerdict.OK) -> list[str]:
+def steps_of(
+    verdict: str = 'unexcited',
+    fit: FitVerdict = FitVerdict.OK,
+    *,
+    stamps_exact: bool = False,
+) -> list[str]:
     """Return the next steps of a motor with L/R of 0.5 ms, sampled each 10 ms."""
     values = {'inductance': (1e-3, 'H'), 'resistance': (2.0, 'ohm'), 'hysteresis': (1.0, 'ohm')}
     parameters = {
         name: {**entry(value, 0.1, unit), 'verdict': verdict}
         for name, (value, unit) in values.items()
     }
-    lines = text_of(fit, parameters=parameters, derived={})
+    lines = text_of(fit, stamps_exact=stamps_exact, parameters=parameters, derived={})
     return [line.split(maxsplit=2)[2] for line in lines if line.startswith('  next step')]
 
 
 def test_what_can_be_done_about_each_verdict_is_said() -> None:
     short, rest = steps_of()
     assert short.startswith(
-        'inductance: L/R of 0.5 ms is shorter than the sample interval of 10 ms'
+        'inductance: L/R of about 0.5 ms is shorter than the sample interval of 10 ms'
     )
     assert 'm.stamps_exact: true' in short
+    assert short.endswith('; resistance and hysteresis may depend on it too')
+    assert steps_of(stamps_exact=True)[0].endswith(': sample faster')
     assert rest.startswith('resistance, hysteresis: the recording tells nothing of it')
     assert steps_of('converging')[1].startswith('resistance, hysteresis: not known to 2 % yet')
     assert steps_of('implausible')[0].startswith('inductance, resistance, hysteresis: check')

@@ -336,7 +336,9 @@ class BagFiles:
             stream.seek(0)
             if stream.read(len(MAGIC)) != MAGIC:
                 if path.suffix.lower() in LOG_SUFFIXES:
-                    remedy = '`identify NEW_BAG --from-csv LOG --columns ...` makes a bag of columns'
+                    remedy = (
+                        '`identify NEW_BAG --from-csv LOG --columns ...` makes a bag of columns'
+                    )
                 else:
                     remedy = f'of another kind of bag, {conversion(path)} makes one'
                 raise BagError(f'{path} is no MCAP file; {remedy}')

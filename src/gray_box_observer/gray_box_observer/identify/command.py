@@ -278,9 +278,13 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     if collector is not None and result['motors']:
         _write_report(options, outcome, result, histories)
     if shows_text:
-        fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
+        motors = outcome.observer.motors
+        fits = {name: motor.fit for name, motor in motors.items()}
+        exact = [
+            name for name, motor in motors.items() if motor.configuration.values['stamps_exact']
+        ]
         with readers_may_leave(sys.stdout):
-            write_text(result, fits, sys.stdout, warnings)
+            write_text(result, fits, sys.stdout, warnings, exact)
     if outcome.observer.incidents:
         return EXIT_STOPPED
     unmet = shortfalls(options.require, result, configuration.motors) if options.require else []

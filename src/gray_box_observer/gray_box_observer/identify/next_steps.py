@@ -18,6 +18,8 @@ REMEDIES = {
 }
 """By verdict, what matters most first."""
 
+OPEN = (Verdict.UNEXCITED.value, Verdict.CONVERGING.value)
+"""Verdicts of what is not known yet."""
 
 WORD = re.compile(r'[^\s(),;:]+')
 
@@ -43,17 +45,18 @@ def _is_parameter(word: str) -> bool:
     return word in OBSERVER_NAMES or ('/' not in word and word.partition('.')[2] in MOTOR_NAMES)
 
 
-def next_steps(name: str, motor: Mapping[str, Any]) -> list[str]:
+def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = False) -> list[str]:
     """Return one line for each thing to do about a motor whose fit is no misfit.
 
     Args:
         name: of the motor.
         motor: its result, as :func:`~gray_box_observer.identify.result.describe` gives it.
+        stamps_exact: whether the user has said that voltage acts at the instant of its stamp.
     """
     verdicts = {p: entry['verdict'] for p, entry in motor['parameters'].items()}
     steps = []
-    if verdicts.get('inductance') in (Verdict.UNEXCITED.value, Verdict.CONVERGING.value):
-        step = _of_short_time_constant(name, motor)
+    if verdicts.get('inductance') in OPEN:
+        step = _of_short_time_constant(name, motor, stamps_exact=stamps_exact)
         if step is not None:
             steps.append(step)
             del verdicts['inductance']
@@ -64,7 +67,9 @@ def next_steps(name: str, motor: Mapping[str, Any]) -> list[str]:
     return steps
 
 
-def _of_short_time_constant(name: str, motor: Mapping[str, Any]) -> str | None:
+def _of_short_time_constant(
+    name: str, motor: Mapping[str, Any], *, stamps_exact: bool
+) -> str | None:
     """Say what to do where L/R is shorter than a sample interval; None where it is not."""
     values = [motor['parameters'].get(p, {}).get('value') for p in ('inductance', 'resistance')]
     if not (motor['samples'] and all(value is not None and value > 0.0 for value in values)):
@@ -72,8 +77,18 @@ def _of_short_time_constant(name: str, motor: Mapping[str, Any]) -> str | None:
     interval_s, time_constant_s = motor['duration_s'] / motor['samples'], values[0] / values[1]
     if not time_constant_s < max(SHORTEST) * interval_s:
         return None
+    remedy = 'sample faster'
+    if not stamps_exact:
+        others = [
+            parameter
+            for parameter, entry in motor['parameters'].items()
+            if parameter != 'inductance' and entry['verdict'] in OPEN
+        ]
+        also = f'; {" and ".join(others)} may depend on it too' if others else ''
+        remedy += (
+            f', or set {name}.stamps_exact: true if voltage acts at the instant of its stamp{also}'
+        )
     return (
-        f'inductance: L/R of {1e3 * time_constant_s:.2g} ms is shorter than the sample interval of '
-        f'{1e3 * interval_s:.2g} ms: sample faster, or set {name}.stamps_exact: true if voltage '
-        'acts at the instant of its stamp'
+        f'inductance: L/R of about {1e3 * time_constant_s:.2g} ms is shorter than the sample '
+        f'interval of {1e3 * interval_s:.2g} ms: {remedy}'
     )

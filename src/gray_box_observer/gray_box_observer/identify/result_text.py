@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TextIO
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -40,6 +40,7 @@ def write_text(
     fits: Mapping[str, FitAssessment],
     stream: TextIO,
     warnings: Sequence[str] = (),
+    stamps_exact: Collection[str] = (),
 ) -> None:
     """Write a result for people.
 
@@ -48,6 +49,7 @@ def write_text(
         fits: residual analysis by motor.
         stream: coloured where it is a terminal.
         warnings: what the user has been told before; the parameters that they name have a place.
+        stamps_exact: motors whose user has said that voltage acts at the instant of its stamp.
     """
     has_colour = stream.isatty()
     remedies = [*warnings, *(fit.sentence for fit in fits.values())]
@@ -62,7 +64,8 @@ def write_text(
             file=stream,
         )
         is_misfit = name in fits and fits[name].verdict is FitVerdict.MISFIT
-        steps = [] if is_misfit else next_steps(name, motor)
+        is_exact = name in stamps_exact
+        steps = [] if is_misfit else next_steps(name, motor, stamps_exact=is_exact)
         remedies += steps
         for line in _lines(motor, steps):
             print(f'  {printable(line)}', file=stream)

@@ -278,8 +278,7 @@ def _described(estimate: Estimate, places: Iterable[int]) -> str:
     for j in places:
         parameter, verdict = estimate.parameters[j], estimate.verdicts[0][j]
         value = (
-            f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} '
-            f'{parameter.unit} '
+            f'{words_of(estimate.value[0, j])} +- {words_of(std[0, j], ".2g")} {parameter.unit} '
         )
         phrases.append(f'{parameter.name} {value if verdict in WITH_VALUE else ""}{verdict.value}')
     return ', '.join(phrases)
