@@ -14,6 +14,7 @@ from common.trust.excitations import (
 )
 from common.trust.kinds import (
     BLOCKED,
+    CHANGE,
     COLOURED_NOISE,
     CURRENT_LAG,
     DELAY,
@@ -27,6 +28,7 @@ from common.trust.kinds import (
     THESIS_LIKE,
     UNITS,
     case,
+    motor_changed,
 )
 from common.trust.motors import (
     hysteresis_motor,
@@ -219,6 +221,25 @@ def _hardly_seen() -> Iterator[Scenario]:
     late = GEAR | {'holds': False, 'noise': 0.03, 'duration_s': 10.0}
     yield case(group, 'Kb known', late, log=(effects.differenced_speed,))
     yield case(group, 'Kb too', late, log=(effects.differenced_speed,), nodes=NODES_WITH_SPEED)
+    group = 'a change that noise hides'
+    for parameter, factor, noise in (
+        ('inductance', 1.2, 0.1),
+        ('inductance', 0.8, 0.1),
+        ('inductance', 1.08, 0.05),
+        ('resistance', 1.03, 0.1),
+    ):
+        yield case(
+            group,
+            f'{parameter} times {factor:g}, noise {100.0 * noise:g} %',
+            wrong,
+            noise=noise,
+            change=motor_changed(**{parameter: factor}),
+            suspects=CHANGE,
+        )
+    group = 'current averaged, speed measured, noise 5 %'
+    averaged = GEAR | {'holds': False, 'noise': 0.05, 'duration_s': 12.0, 'suspects': CURRENT_LAG}
+    yield case(group, 'over 0.4 samples', averaged, sensor=(effects.averaging(0.4),))
+    yield case(group, 'over 0.3 samples', averaged, sensor=(effects.averaging(0.3),))
 
 
 def _mistakes() -> Iterator[Scenario]:

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, noise, steps
+from linear_motor_records import (
+    INDUCTANCE_H,
+    TRUTH,
+    WHITE_BOX,
+    Record,
+    current_of,
+    noise,
+    steps,
+)
 
+from gray_box_observer.delay.watch import DelayEstimate
 from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
+from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.residual_analysis import DELAY, LEAST_SQUARES, analyse
 from gray_box_observer.fit_test.saved_test import check_evidence
+from gray_box_observer.fit_test.window_test import MotorUnderTest
 
 SAMPLES = 4000
 MOVED = 0.1
@@ -51,11 +67,48 @@ def test_what_says_nothing_leaves_all_as_it_is() -> None:
     assert known.amount('another') == UNKNOWN
 
 
-def test_fewer_samples_tell_less() -> None:
-    known = Evidence({DELAY: Amount(1.0, 0.1)}, 4000.0)
-    assert known.of_newest(5000) is known
-    assert known.of_newest(1000).amount(DELAY) == Amount(1.0, pytest.approx(0.2))
-    assert known.of_newest(0).amount(DELAY) == UNKNOWN
+def test_what_a_window_cannot_tell_stays_as_it_was_known() -> None:
+    known = NO_EVIDENCE.with_window({DELAY: Amount(1.0, 0.1)}, 1000, 1000)
+    later = known.with_window({'lead': Amount(2.0, 0.1), DELAY: UNKNOWN}, 2000, 1000)
+    assert later.amount(DELAY) == Amount(1.0, 0.1)
+    assert later.amount('lead') == Amount(2.0, 0.1)
+
+
+def test_a_place_that_has_gone_back_adds_nothing() -> None:
+    known = Evidence({DELAY: Amount(0.1, 0.01)}, 7000.0)
+    assert known.with_window({DELAY: Amount(0.5, 0.5)}, WINDOW, -3000) == known
+
+
+def test_all_that_is_pooled_can_be_saved() -> None:
+    window = {'lead': Amount(0.0, 9e11), DELAY: Amount(0.0, 2e-12)}
+    evidence = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0).with_window(window, WINDOW, 64)
+    check_evidence(evidence.to_dict())
+    assert evidence.amount('lead') == UNKNOWN
+
+
+def test_a_window_that_contradicts_all_others_stands_alone() -> None:
+    records = []
+    for seed, factor in ((1, 1.0), (2, 1.2)):
+        voltage_v = steps(SAMPLES, seed)
+        current_a = current_of(voltage_v, inductance_h=factor * INDUCTANCE_H)
+        records.append(Record(voltage_v, current_a + noise(SAMPLES, 0.05, 10 + seed)))
+    first, other = (record.stretch for record in records)
+    before = analyse(WHITE_BOX, TRUTH, first).evidence
+    same = analyse(WHITE_BOX, TRUTH, first, earlier=before, new=SAMPLES).evidence
+    assert same.samples == 2 * before.samples
+    changed = analyse(WHITE_BOX, TRUTH, other, earlier=same, new=SAMPLES)
+    assert changed.evidence == analyse(WHITE_BOX, TRUTH, other).evidence
+    assert np.abs(changed.open_shifts)[:, 0].max() == pytest.approx(math.log(1.2), rel=0.3)
+
+
+def test_a_winding_that_heats_forgets_the_resistance_that_it_had() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.05, 7))
+    before = analyse(WHITE_BOX, TRUTH, record.stretch).evidence
+    warm = analyse(WHITE_BOX, TRUTH, record.stretch, True, before, SAMPLES).evidence
+    assert before.amount(f'{LEAST_SQUARES}resistance') != UNKNOWN
+    assert warm.amount(f'{LEAST_SQUARES}resistance') == UNKNOWN
+    assert warm.amount(f'{LEAST_SQUARES}inductance').std < math.inf
 
 
 def test_a_checkpoint_takes_it_back() -> None:
@@ -100,3 +153,37 @@ def test_evidence_goes_on_from_window_to_window() -> None:
     two = analyse(WHITE_BOX, TRUTH, record.stretch, earlier=one, new=SAMPLES).evidence
     assert two.samples == 2 * one.samples > WINDOW
     assert two.amount(DELAY).std == pytest.approx(one.amount(DELAY).std / math.sqrt(2.0), rel=1e-3)
+
+
+def _motor_under_test(begin: int, changes: int, delay_s: float) -> MotorUnderTest:
+    """Return a motor whose last test began at sample 0, after no change and with no delay."""
+    replay = SimpleNamespace(begin=lambda _: np.array([begin]))
+    nodes: Any = SimpleNamespace(replay=replay, counters=lambda _: {'motor changes': changes})
+    judgement = Judgement(FitVerdict.OK, np.ones(2), np.zeros((2, 2)))
+    assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
+    known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)
+    before = FitResult(assessment, judgement, np.ones(2), 9000, 0, 64, 1.0, 0, 0.1, True, known)
+    estimate: Any = None
+    return MotorUnderTest(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
+
+
+def test_evidence_lasts_until_the_motor_or_its_delay_is_another() -> None:
+    same = _motor_under_test(begin=0, changes=0, delay_s=0.0)
+    assert same.before is not None
+    assert same.evidence == same.before.evidence
+    later_window = _motor_under_test(begin=2048, changes=0, delay_s=0.0)
+    assert later_window.evidence == same.evidence
+    assert _motor_under_test(begin=8000, changes=1, delay_s=0.0).evidence == NO_EVIDENCE
+    assert _motor_under_test(begin=0, changes=0, delay_s=1e-4).evidence == NO_EVIDENCE
+
+
+def test_a_checkpoint_knows_of_which_delay_and_which_motor_evidence_is() -> None:
+    before = _motor_under_test(begin=0, changes=0, delay_s=0.0).before
+    assert before is not None
+    result = replace(before, changes=3, delay_s=1e-4)
+    plain = result.state(9000)
+    again = FitResult.restored(plain, 9000)
+    assert (again.changes, again.delay_s, again.evidence) == (3, 1e-4, result.evidence)
+    del plain['changes'], plain['delay_s']  # as of a release before
+    old = FitResult.restored(plain, 9000)
+    assert (old.changes, old.delay_s) == (0, 0.0)

@@ -2,13 +2,13 @@
 
 An estimate rests on every sample, a test on the newest ones. What a test does not show may be large
 beside the deviation of such an estimate. So the amounts that the tests find are pooled, each by its
-variance (inverse-variance weighting), until the motor is another one.
+variance (inverse-variance weighting), until the motor is found changed or a test contradicts them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +18,11 @@ WINDOW = 4096
 """Newest samples, at most, that a test looks at."""
 
 MOST = 1e12
-"""Size up to which an amount is taken for one."""
+"""Size up to which an amount is taken for one, and the inverse of its least deviation. Amounts are
+shares of an interval, logarithms and squares of volts."""
+
+CONTRADICTION_STDS = 4.0
+"""Standard deviations between a window and all before it from which the motor is another one."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +50,27 @@ class Evidence:
         """Return an amount; of an unknown name, the unknown."""
         return self.amounts.get(name, UNKNOWN)
 
-    def of_newest(self, samples: int) -> Evidence:
-        """Return what is left of it where no more than some newest samples count."""
-        if self.samples <= samples:
-            return self
-        less = math.sqrt(self.samples / samples) if samples > 0 else math.inf
-        amounts = {name: Amount(one.mean, less * one.std) for name, one in self.amounts.items()}
-        return Evidence(amounts if math.isfinite(less) else {}, float(samples))
+    def without(self, names: Collection[str]) -> Evidence:
+        """Return it without some amounts."""
+        rest = {name: one for name, one in self.amounts.items() if name not in names}
+        return Evidence(rest, self.samples)
+
+    def contradicts(self, window: Mapping[str, Amount], names: Collection[str]) -> bool:
+        """Tell whether a window finds an amount that is clearly another.
+
+        Args:
+            window: amounts by name.
+            names: of those that are compared.
+        """
+        pairs = (
+            (self.amounts[name], window[name])
+            for name in names
+            if name in self.amounts and name in window
+        )
+        return any(
+            abs(one.mean - other.mean) > CONTRADICTION_STDS * math.hypot(one.std, other.std)
+            for one, other in pairs
+        )
 
     def with_window(self, window: Mapping[str, Amount], samples: int, new: int) -> Evidence:
         """Return it with what the newest window has found.
@@ -62,15 +80,17 @@ class Evidence:
             samples: of the window.
             new: how many of these came after the window before.
         """
-        if new + self.samples <= samples:  # it holds all the others
-            return Evidence({name: one for name, one in window.items() if _is_amount(one)}, samples)
-        share = min(1.0, max(0.0, new / samples))
+        share = min(max(new / samples, 0.0), 1.0)
+        if share * samples + self.samples <= samples:  # it holds all the others
+            return Evidence({**self.amounts, **_known(window)}, samples)
+        if share == 0.0:
+            return self
+        shares = {
+            name: Amount(one.mean, one.std / math.sqrt(share)) for name, one in window.items()
+        }
         amounts = dict(self.amounts)
-        for name, one in window.items():
-            if share > 0.0 and _is_amount(one):
-                amounts[name] = _pooled(
-                    amounts.get(name, UNKNOWN), Amount(one.mean, one.std / math.sqrt(share))
-                )
+        for name, one in _known(shares).items():
+            amounts[name] = _pooled(amounts.get(name, UNKNOWN), one)
         return Evidence(amounts, self.samples + share * samples)
 
     def to_dict(self) -> dict[str, Any]:
@@ -89,9 +109,13 @@ class Evidence:
 NO_EVIDENCE = Evidence()
 
 
-def _is_amount(amount: Amount) -> bool:
-    """Tell whether it says anything, in numbers that can be pooled."""
-    return abs(amount.mean) < MOST and 1.0 / MOST < amount.std < MOST
+def _known(amounts: Mapping[str, Amount]) -> dict[str, Amount]:
+    """Return those that say anything, in numbers that can be pooled."""
+    return {
+        name: one
+        for name, one in amounts.items()
+        if abs(one.mean) < MOST and 1.0 / MOST < one.std < MOST
+    }
 
 
 def _pooled(one: Amount, other: Amount) -> Amount:

@@ -38,6 +38,8 @@ class FitResult:
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
         evidence: what its tests have told together.
+        changes: how often the motor had been found changed.
+        delay_s: that was taken off its voltage.
     """
 
     assessment: FitAssessment
@@ -51,6 +53,8 @@ class FitResult:
     noise_a: float
     has_fitted: bool
     evidence: Evidence = NO_EVIDENCE
+    changes: int = 0
+    delay_s: float = 0.0
 
     @property
     def is_lasting_misfit(self) -> bool:
@@ -77,6 +81,8 @@ class FitResult:
             'noise_a': self.noise_a,
             'has_fitted': self.has_fitted,
             'evidence': self.evidence.to_dict(),
+            'changes': self.changes,
+            'delay_s': self.delay_s,
         }
 
     @classmethod
@@ -95,4 +101,6 @@ class FitResult:
             plain.get('noise_a', 0.0),  # releases before kept none
             plain.get('has_fitted', True),  # likewise
             Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
+            plain.get('changes', 0),  # likewise
+            plain.get('delay_s', 0.0),  # likewise
         )

@@ -92,7 +92,7 @@ STEP_STDS, MATURE_STEP_STDS = 3.0, 2.0
 the same once it rests on more than one window: the prior holds an estimate at first."""
 
 SMALLEST = 1e-12
-"""The same in A, where no current flows."""
+"""Noise floor in A that is believed at least, where no current flows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,11 +245,13 @@ def analyse(
     }
     if not white_box.has_rotor:
         values = _least_squares_values(white_box, theta, projection, noise_a, robust_std)
-        window |= {
-            name: value
-            for name, value in values.items()
-            if not is_drifting or name == f'{LEAST_SQUARES}inductance'
-        }
+        if is_drifting:  # all but the inductance are others than before
+            moving_names = [name for name in values if name != f'{LEAST_SQUARES}inductance']
+            earlier = earlier.without(moving_names)
+            values = {name: one for name, one in values.items() if name not in moving_names}
+        if earlier.contradicts(values, values):
+            earlier = NO_EVIDENCE
+        window |= values
     count = residual.size
     evidence = earlier.with_window(window, count, count if new is None else new)
     delay, lead = (

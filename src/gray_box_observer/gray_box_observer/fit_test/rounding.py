@@ -20,7 +20,7 @@ PLACES = 8
 """Places of the steps beside the current."""
 
 NEGLIGIBLE = 0.01
-"""Share of the error from which it is white noise."""
+"""Share of the error that is not white, up to which all of it counts as white noise."""
 
 
 def rounding_errors(run: FreeRun, step_a: float, size_a: float) -> Array:

@@ -127,11 +127,18 @@ class MotorUnderTest:
 
     @property
     def evidence(self) -> Evidence:
-        """What its tests have told together, since it last changed."""
+        """What its tests have told together, since it was found changed or its delay was."""
         before = self.before
-        if before is None or self.begin > before.begin:
+        if before is None or before.delay_s != self.delay.applied_s:
             return NO_EVIDENCE
-        return before.evidence.of_newest(self.place - self.begin)
+        # a fit of a measured speed begins its windows later too, though the motor is the same
+        has_changed = self.begin > before.begin and self.changes != before.changes
+        return NO_EVIDENCE if has_changed else before.evidence
+
+    @property
+    def changes(self) -> int:
+        """How often it was found changed."""
+        return self.nodes.counters(self.motor).get('motor changes', 0)
 
     @property
     def new_samples(self) -> int:
@@ -319,6 +326,8 @@ class WindowTest:
                 begin=motor.begin,
                 wait=wait,
                 evidence=analysis.evidence,
+                changes=motor.changes,
+                delay_s=motor.delay.applied_s,
             )
         assessment = FitAssessment(
             judgement.verdict, analysis.ratio, analysis.whiteness, _first_of_each(suspects),
@@ -337,6 +346,8 @@ class WindowTest:
             finding.noise_a,
             is_ok or (before is not None and before.has_fitted),
             motor.evidence if is_misfit else analysis.evidence,
+            motor.changes,
+            motor.delay.applied_s,
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:
