@@ -38,7 +38,7 @@ class FitResult:
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
         evidence: what its tests have told together.
-        changes: how often the motor had been found changed.
+        changes: how often the motor had been found changed; counted anew after a restart.
         delay_s: that was taken off its voltage.
     """
 
@@ -81,7 +81,6 @@ class FitResult:
             'noise_a': self.noise_a,
             'has_fitted': self.has_fitted,
             'evidence': self.evidence.to_dict(),
-            'changes': self.changes,
             'delay_s': self.delay_s,
         }
 
@@ -101,6 +100,5 @@ class FitResult:
             plain.get('noise_a', 0.0),  # releases before kept none
             plain.get('has_fitted', True),  # likewise
             Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
-            plain.get('changes', 0),  # likewise
-            plain.get('delay_s', 0.0),  # likewise
+            delay_s=plain.get('delay_s', 0.0),  # likewise
         )

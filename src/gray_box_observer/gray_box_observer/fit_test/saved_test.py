@@ -100,8 +100,6 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         flag(plain, 'has_fitted')
     if 'evidence' in plain:
         check_evidence(group(plain, 'evidence'))
-    if 'changes' in plain:
-        whole(plain, 'changes')
     if 'delay_s' in plain:
         number(plain, 'delay_s', -LARGEST, LARGEST)
 
