@@ -86,7 +86,7 @@ def test_all_that_is_pooled_can_be_saved() -> None:
     assert evidence.amount('lead') == UNKNOWN
 
 
-def test_a_window_that_contradicts_all_others_stands_alone() -> None:
+def test_least_squares_that_contradict_all_others_stand_alone() -> None:
     records = []
     for seed, factor in ((1, 1.0), (2, 1.2)):
         voltage_v = steps(SAMPLES, seed)
@@ -97,7 +97,10 @@ def test_a_window_that_contradicts_all_others_stands_alone() -> None:
     same = analyse(WHITE_BOX, TRUTH, first, earlier=before, new=SAMPLES).evidence
     assert same.samples == 2 * before.samples
     changed = analyse(WHITE_BOX, TRUTH, other, earlier=same, new=SAMPLES)
-    assert changed.evidence == analyse(WHITE_BOX, TRUTH, other).evidence
+    alone = analyse(WHITE_BOX, TRUTH, other).evidence
+    for name in (f'{LEAST_SQUARES}inductance', f'{LEAST_SQUARES}resistance'):
+        assert changed.evidence.amount(name) == alone.amount(name)
+    assert changed.evidence.amount(DELAY).std < alone.amount(DELAY).std
     assert np.abs(changed.open_shifts)[:, 0].max() == pytest.approx(math.log(1.2), rel=0.3)
 
 
@@ -155,10 +158,13 @@ def test_evidence_goes_on_from_window_to_window() -> None:
     assert two.amount(DELAY).std == pytest.approx(one.amount(DELAY).std / math.sqrt(2.0), rel=1e-3)
 
 
-def _motor_under_test(begin: int, changes: int, delay_s: float) -> MotorUnderTest:
+def _motor_under_test(
+    begin: int, changes: int, delay_s: float, *, is_noisy: bool = False
+) -> MotorUnderTest:
     """Return a motor whose last test began at sample 0, after no change and with no delay."""
     replay = SimpleNamespace(begin=lambda _: np.array([begin]))
-    nodes: Any = SimpleNamespace(replay=replay, counters=lambda _: {'motor changes': changes})
+    counters = {'motor changes': changes, 'speed is noisy or late': int(is_noisy)}
+    nodes: Any = SimpleNamespace(replay=replay, counters=lambda _: counters)
     judgement = Judgement(FitVerdict.OK, np.ones(2), np.zeros((2, 2)))
     assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
     known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)
@@ -171,9 +177,11 @@ def test_evidence_lasts_until_the_motor_or_its_delay_is_another() -> None:
     same = _motor_under_test(begin=0, changes=0, delay_s=0.0)
     assert same.before is not None
     assert same.evidence == same.before.evidence
-    later_window = _motor_under_test(begin=2048, changes=0, delay_s=0.0)
+    later_window = _motor_under_test(begin=2048, changes=0, delay_s=0.0, is_noisy=True)
     assert later_window.evidence == same.evidence
-    assert _motor_under_test(begin=8000, changes=1, delay_s=0.0).evidence == NO_EVIDENCE
+    another = _motor_under_test(begin=0, changes=1, delay_s=0.0, is_noisy=True)
+    assert another.evidence == NO_EVIDENCE
+    assert _motor_under_test(begin=8000, changes=0, delay_s=0.0).evidence == NO_EVIDENCE
     assert _motor_under_test(begin=0, changes=0, delay_s=1e-4).evidence == NO_EVIDENCE
 
 

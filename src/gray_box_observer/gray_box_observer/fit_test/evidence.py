@@ -22,7 +22,8 @@ MOST = 1e12
 shares of an interval, logarithms and squares of volts."""
 
 CONTRADICTION_STDS = 4.0
-"""Standard deviations between a window and all before it from which the motor is another one."""
+"""Standard deviations between a window and all before it from which what was known of an amount is
+not true of this window."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +56,13 @@ class Evidence:
         rest = {name: one for name, one in self.amounts.items() if name not in names}
         return Evidence(rest, self.samples)
 
-    def contradicts(self, window: Mapping[str, Amount], names: Collection[str]) -> bool:
+    def contradicts(self, window: Mapping[str, Amount]) -> bool:
         """Tell whether a window finds an amount that is clearly another.
 
         Args:
-            window: amounts by name.
-            names: of those that are compared.
+            window: those that are compared, by name.
         """
-        pairs = (
-            (self.amounts[name], window[name])
-            for name in names
-            if name in self.amounts and name in window
-        )
+        pairs = ((self.amounts[name], one) for name, one in window.items() if name in self.amounts)
         return any(
             abs(one.mean - other.mean) > CONTRADICTION_STDS * math.hypot(one.std, other.std)
             for one, other in pairs

@@ -249,8 +249,8 @@ def analyse(
             moving_names = [name for name in values if name != f'{LEAST_SQUARES}inductance']
             earlier = earlier.without(moving_names)
             values = {name: one for name, one in values.items() if name not in moving_names}
-        if earlier.contradicts(values, values):
-            earlier = NO_EVIDENCE
+        if earlier.contradicts(values):
+            earlier = earlier.without(values)
         window |= values
     count = residual.size
     evidence = earlier.with_window(window, count, count if new is None else new)
