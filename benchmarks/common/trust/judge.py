@@ -164,11 +164,12 @@ def _costs(right: Sequence[Trial], wrong: Sequence[Trial]) -> list[Figure]:
         return []
     median_ms = float(np.median([trial.cost_ms for trial in healthy]))
     late_ms = float(np.percentile([trial.cost_ms for trial in misfits], 90))
-    first, whole = (
-        _late_over_median(
-            *([getattr(trial, share) for trial in some] for some in (misfits, healthy))
-        )
-        for share in ('cost_share', 'whole_cost_share')
+    first = _late_over_median(
+        [trial.cost_share for trial in misfits], [trial.cost_share for trial in healthy]
+    )
+    whole = _late_over_median(
+        [trial.whole_cost_share for trial in misfits],
+        [trial.whole_cost_share for trial in healthy],
     )
     return [
         Figure('cost of one of 5,000 samples where it holds, median in ms', median_ms, None),
