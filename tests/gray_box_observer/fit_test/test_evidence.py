@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from linear_motor_records import (
     INDUCTANCE_H,
+    RESISTANCE_OHM,
+    TORQUE_CONSTANT,
     TRUTH,
     WHITE_BOX,
     Record,
     current_of,
+    current_of_free_rotor,
     noise,
     steps,
 )
@@ -24,13 +27,24 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.least_squares import LEAST_SQUARES, doubts_by_stamps
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
-from gray_box_observer.fit_test.residual_analysis import DELAY, LEAST_SQUARES, analyse
+from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.saved_test import check_evidence
+from gray_box_observer.fit_test.stamp_errors import DELAY, StampError
 from gray_box_observer.fit_test.window_test import MotorUnderTest
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
 
 SAMPLES = 4000
+ROTOR = MotorWhiteBox(
+    ('inductance', 'resistance', 'inertia'), TORQUE_CONSTANT, {'back_emf_constant': TORQUE_CONSTANT}
+)
+ROTOR_TRUTH = to_coordinates(
+    np.array([[INDUCTANCE_H, RESISTANCE_OHM, 0.05 * TORQUE_CONSTANT**2 / RESISTANCE_OHM]])
+)
+"""With a mechanical time constant of 0.05 s."""
 MOVED = 0.1
 """By how much the inductance is not what fits, as a logarithm."""
 
@@ -96,12 +110,40 @@ def test_least_squares_that_contradict_all_others_stand_alone() -> None:
     before = analyse(WHITE_BOX, TRUTH, first).evidence
     same = analyse(WHITE_BOX, TRUTH, first, earlier=before, new=SAMPLES).evidence
     assert same.samples == 2 * before.samples
-    changed = analyse(WHITE_BOX, TRUTH, other, earlier=same, new=SAMPLES)
+    changed = analyse(WHITE_BOX, TRUTH, other, earlier=same, new=SAMPLES // 2)
     alone = analyse(WHITE_BOX, TRUTH, other).evidence
-    for name in (f'{LEAST_SQUARES}inductance', f'{LEAST_SQUARES}resistance'):
-        assert changed.evidence.amount(name) == alone.amount(name)
+    names = (f'{LEAST_SQUARES}inductance', f'{LEAST_SQUARES}resistance')
+    assert [changed.evidence.amount(name) for name in names] == [UNKNOWN, UNKNOWN]
     assert changed.evidence.amount(DELAY).std < alone.amount(DELAY).std
     assert np.abs(changed.open_shifts)[:, 0].max() == pytest.approx(math.log(1.2), rel=0.3)
+    later = analyse(WHITE_BOX, TRUTH, other, earlier=changed.evidence, new=SAMPLES)
+    assert later.evidence.amount(names[0]) == UNKNOWN  # 4000 of 4096 samples later
+    assert np.abs(later.open_shifts)[:, 0].max() == pytest.approx(math.log(1.2), rel=0.3)
+    clean = analyse(WHITE_BOX, TRUTH, other, earlier=later.evidence, new=SAMPLES)
+    assert [clean.evidence.amount(name) for name in names] == [alone.amount(name) for name in names]
+
+
+def test_a_delay_that_moves_the_least_squares_contradicts_nothing() -> None:
+    known = Evidence({LEAST_SQUARES: Amount(0.0, 0.001)}, 9000.0)
+    moved = {LEAST_SQUARES: Amount(0.05, 0.001)}
+    assert known.contradicts(moved, {LEAST_SQUARES: 0.0})
+    assert not known.contradicts(moved, {LEAST_SQUARES: 0.02})
+    shift = np.array([-1.0, 0.1])
+    shown = StampError(shift, Amount(0.05, 0.001)), StampError(shift, UNKNOWN)
+    doubts = doubts_by_stamps(WHITE_BOX, shown)
+    assert doubts[f'{LEAST_SQUARES}inductance'] == pytest.approx(0.05, rel=1e-3)
+    assert doubts[f'{LEAST_SQUARES}resistance'] == pytest.approx(0.005, rel=1e-3)
+
+
+def test_evidence_of_a_rotor_is_of_stamps_and_noise() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    stretch = Record(voltage_v, current_of_free_rotor(voltage_v) + noise(SAMPLES, 0.05, 7)).stretch
+    one = analyse(ROTOR, ROTOR_TRUTH, stretch)
+    two = analyse(ROTOR, ROTOR_TRUTH, stretch, earlier=one.evidence, new=SAMPLES)
+    assert one.whiteness < 2.0
+    assert two.evidence.samples == 2 * one.evidence.samples
+    assert not any(name.startswith(LEAST_SQUARES) for name in two.evidence.amounts)
+    assert two.evidence.amount(DELAY).std < one.evidence.amount(DELAY).std
 
 
 def test_a_winding_that_heats_forgets_the_resistance_that_it_had() -> None:
@@ -158,39 +200,33 @@ def test_evidence_goes_on_from_window_to_window() -> None:
     assert two.amount(DELAY).std == pytest.approx(one.amount(DELAY).std / math.sqrt(2.0), rel=1e-3)
 
 
-def _motor_under_test(
-    begin: int, changes: int, delay_s: float, *, is_noisy: bool = False
-) -> MotorUnderTest:
-    """Return a motor whose last test began at sample 0, after no change and with no delay."""
+def _motor_under_test(begin: int, delay_s: float) -> MotorUnderTest:
+    """Return a motor whose last test began at sample 2048, with no delay."""
     replay = SimpleNamespace(begin=lambda _: np.array([begin]))
-    counters = {'motor changes': changes, 'speed is noisy or late': int(is_noisy)}
-    nodes: Any = SimpleNamespace(replay=replay, counters=lambda _: counters)
+    nodes: Any = SimpleNamespace(replay=replay)
     judgement = Judgement(FitVerdict.OK, np.ones(2), np.zeros((2, 2)))
     assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
     known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)
-    before = FitResult(assessment, judgement, np.ones(2), 9000, 0, 64, 1.0, 0, 0.1, True, known)
+    before = FitResult(assessment, judgement, np.ones(2), 9000, 2048, 64, 1.0, 0, 0.1, True, known)
     estimate: Any = None
     return MotorUnderTest(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
 
 
 def test_evidence_lasts_until_the_motor_or_its_delay_is_another() -> None:
-    same = _motor_under_test(begin=0, changes=0, delay_s=0.0)
+    same = _motor_under_test(begin=2048, delay_s=0.0)
     assert same.before is not None
     assert same.evidence == same.before.evidence
-    later_window = _motor_under_test(begin=2048, changes=0, delay_s=0.0, is_noisy=True)
-    assert later_window.evidence == same.evidence
-    another = _motor_under_test(begin=0, changes=1, delay_s=0.0, is_noisy=True)
-    assert another.evidence == NO_EVIDENCE
-    assert _motor_under_test(begin=8000, changes=0, delay_s=0.0).evidence == NO_EVIDENCE
-    assert _motor_under_test(begin=0, changes=0, delay_s=1e-4).evidence == NO_EVIDENCE
+    for begin in (8000, 0):  # a change, and a speed that is believed again
+        assert _motor_under_test(begin, delay_s=0.0).evidence == NO_EVIDENCE
+    assert _motor_under_test(begin=2048, delay_s=1e-4).evidence == NO_EVIDENCE
 
 
-def test_a_checkpoint_knows_of_which_delay_evidence_is_and_counts_changes_anew() -> None:
-    before = _motor_under_test(begin=0, changes=0, delay_s=0.0).before
+def test_a_checkpoint_knows_of_which_delay_evidence_is() -> None:
+    before = _motor_under_test(begin=2048, delay_s=0.0).before
     assert before is not None
-    result = replace(before, changes=3, delay_s=1e-4)
+    result = replace(before, delay_s=1e-4)
     plain = result.state(9000)
     again = FitResult.restored(plain, 9000)
-    assert (again.changes, again.delay_s, again.evidence) == (0, 1e-4, result.evidence)
+    assert (again.begin, again.delay_s, again.evidence) == (2048, 1e-4, result.evidence)
     del plain['delay_s']  # as of a release before
     assert FitResult.restored(plain, 9000).delay_s == 0.0

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.fit_result import PASSING, FitResult
 from gray_box_observer.fit_test.fit_schedule import (
@@ -182,3 +185,23 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
     restored = FitSchedule(np.array([64]), 2)
     restored.restore(state, 0, 320, FitResult.restored(result, 320))
     assert restored.state(0, 320) == state
+
+
+@pytest.mark.parametrize(
+    ('name', 'absurd', 'culprit'),
+    [
+        ('delay_s', math.inf, 'delay_s'),
+        ('delay_s', 'late', 'delay_s'),
+        ('evidence', {'samples': 10.0, 'mixed_until': -1.0, 'amounts': {}}, 'mixed_until'),
+        ('evidence', [], 'evidence'),
+        ('begin', 1.5, 'begin'),
+    ],
+)
+def test_a_checkpoint_with_an_absurd_test_is_refused(
+    name: str, absurd: object, culprit: str
+) -> None:
+    schedule = FitSchedule(np.array([64]), 2)
+    plain = schedule.state(0, 320) | result_at(300, FitVerdict.OK, 512).state(320)
+    check_saved_test(plain, 2)
+    with pytest.raises(CheckpointError, match=culprit):
+        check_saved_test({**plain, name: absurd}, 2)

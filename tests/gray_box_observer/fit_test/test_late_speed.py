@@ -9,7 +9,8 @@ from scipy.linalg import expm
 
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.late_speed import lag_of_speed, late_speed_doubts
-from gray_box_observer.fit_test.residual_analysis import LEAST_SQUARES, analyse
+from gray_box_observer.fit_test.least_squares import LEAST_SQUARES
+from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 

@@ -19,7 +19,6 @@ from gray_box_observer.fit_test.policy import (
     SCORE_DOUBT,
     SCORE_MEASURED,
     SCORE_UNMEASURED,
-    STAMP_STD,
     STAMP_STDS,
     STANDING,
     WHITENESS_DOUBT,
@@ -31,8 +30,8 @@ from gray_box_observer.fit_test.projection import UNKNOWN, Amount, bandwidth
 from gray_box_observer.fit_test.residual_analysis import (
     EffectScore,
     ResidualAnalysis,
-    StampError,
 )
+from gray_box_observer.fit_test.stamp_errors import STAMP_STD, StampError
 
 SAMPLES = 1000
 NO_ERROR = StampError(np.zeros(2), UNKNOWN)

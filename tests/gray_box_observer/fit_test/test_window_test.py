@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from linear_motor_records import (
+    INTERVAL_S,
+    TORQUE_CONSTANT,
+    Record,
+    current_of,
+    noise,
+    steps,
+)
 
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import WINDOW
-from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.fit_result import PASSING, FitResult
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.fit_test.window_test import MotorUnderTest
+from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 
-SAMPLES, SINCE_CHANGE = 300, 40
+SAMPLES, SINCE_CHANGE, FEW = 300, 40, 500
 
 
 def result(verdict: FitVerdict, *, has_fitted: bool) -> FitResult:
@@ -47,3 +56,29 @@ def test_a_motor_that_never_fitted_is_tested_by_all_its_samples_whatever_it_took
     motor = MotorUnderTest(nodes, cast(Any, None), 0, DelayEstimate(0.0, False), before)
     assert motor.count(WINDOW) == count
     assert motor.newest(motor.count(WINDOW)).shape[2] == count
+
+
+def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_kept() -> None:
+    voltage_v = steps(2 * FEW, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(2 * FEW, 0.05, 7))
+    motor = record.observed(stamps_exact=True).motors['motor']
+    test = WindowTest(motor.configuration, motor.white_box, 'current')
+    rich = replace(
+        result(FitVerdict.MISFIT, has_fitted=True),
+        assessment=FitAssessment(FitVerdict.MISFIT, 9.0, 9.0, (), 100 * FEW),
+        place=FEW,
+        misfits=PASSING + 1,
+    )
+    replay = ReplayBuffer(1, 2 * FEW)
+    stretch = record.stretch
+    for k in range(2 * FEW - 1):
+        torque_nm = float(TORQUE_CONSTANT * stretch.state[0, k + 1])
+        replay.append(Sample.of_one_motor(k, INTERVAL_S, float(voltage_v[k]), torque_nm))
+    nodes = cast(Any, SimpleNamespace(replay=replay, is_drifting=lambda _: False))
+    later = MotorUnderTest(nodes, motor.estimate, 0, DelayEstimate(0.0, False), rich)
+    tested = test.test(later, FEW)
+    assert tested.assessment is rich.assessment
+    assert (tested.place, tested.wait) == (2 * FEW - 1, 2 * rich.wait)
+    assert tested.evidence.samples == FEW
+    few_told = replace(rich, assessment=FitAssessment(FitVerdict.MISFIT, 9.0, 9.0, (), FEW))
+    assert not test.test(replace(later, before=few_told), FEW).is_lasting_misfit

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
@@ -32,11 +32,13 @@ class Evidence:
 
     Attributes:
         amounts: of which something is known.
-        samples: how many they rest on.
+        samples: how many the tests have seen.
+        mixed_until: samples up to which a window may hold some from before a contradiction.
     """
 
     amounts: Mapping[str, Amount] = field(default_factory=dict)
     samples: float = 0.0
+    mixed_until: float = 0.0
 
     @property
     def is_mature(self) -> bool:
@@ -51,21 +53,39 @@ class Evidence:
         """Return an amount; of an unknown name, the unknown."""
         return self.amounts.get(name, UNKNOWN)
 
+    @property
+    def is_mixed(self) -> bool:
+        """Whether its newest window may hold samples from before a contradiction and after it."""
+        return self.samples < self.mixed_until
+
     def without(self, names: Collection[str]) -> Evidence:
         """Return it without some amounts."""
         rest = {name: one for name, one in self.amounts.items() if name not in names}
-        return Evidence(rest, self.samples)
+        return replace(self, amounts=rest)
 
-    def contradicts(self, window: Mapping[str, Amount]) -> bool:
+    def with_amounts(self, amounts: Mapping[str, Amount]) -> Evidence:
+        """Return it with some amounts in place of what was known of them."""
+        return replace(self, amounts={**self.amounts, **_known(amounts)})
+
+    def contradicted(self) -> Evidence:
+        """Return it as it is once its newest window has contradicted the ones before.
+
+        Nobody knows at which sample. So windows are mixed until one holds none of these.
+        """
+        return replace(self, mixed_until=self.samples + WINDOW)
+
+    def contradicts(self, window: Mapping[str, Amount], more_stds: Mapping[str, float]) -> bool:
         """Tell whether a window finds an amount that is clearly another.
 
         Args:
             window: those that are compared, by name.
+            more_stds: standard deviations that come on top of theirs, by name.
         """
-        pairs = ((self.amounts[name], one) for name, one in window.items() if name in self.amounts)
         return any(
-            abs(one.mean - other.mean) > CONTRADICTION_STDS * math.hypot(one.std, other.std)
-            for one, other in pairs
+            abs(one.mean - self.amounts[name].mean)
+            > CONTRADICTION_STDS * math.hypot(one.std, self.amounts[name].std, more_stds[name])
+            for name, one in window.items()
+            if name in self.amounts
         )
 
     def with_window(self, window: Mapping[str, Amount], samples: int, new: int) -> Evidence:
@@ -78,28 +98,25 @@ class Evidence:
         """
         share = min(max(new / samples, 0.0), 1.0)
         if share * samples + self.samples <= samples:  # it holds all the others
-            return Evidence({**self.amounts, **_known(window)}, samples)
+            return replace(self.with_amounts(window), samples=samples)
         if share == 0.0:
             return self
         shares = {
             name: Amount(one.mean, one.std / math.sqrt(share)) for name, one in window.items()
         }
-        amounts = dict(self.amounts)
-        for name, one in _known(shares).items():
-            amounts[name] = _pooled(amounts.get(name, UNKNOWN), one)
-        return Evidence(amounts, self.samples + share * samples)
+        sums = {name: _pooled(self.amount(name), one) for name, one in _known(shares).items()}
+        return replace(self.with_amounts(sums), samples=self.samples + share * samples)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         amounts = {name: [one.mean, one.std] for name, one in self.amounts.items()}
-        return {'samples': self.samples, 'amounts': amounts}
+        return {'samples': self.samples, 'mixed_until': self.mixed_until, 'amounts': amounts}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Evidence:
         """Take back what :meth:`to_dict` gave, once it was checked."""
-        return cls(
-            {name: Amount(*pair) for name, pair in plain['amounts'].items()}, plain['samples']
-        )
+        amounts = {name: Amount(*pair) for name, pair in plain['amounts'].items()}
+        return cls(amounts, plain['samples'], plain.get('mixed_until', 0.0))
 
 
 NO_EVIDENCE = Evidence()

@@ -38,7 +38,6 @@ class FitResult:
         noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
             where none did.
         evidence: what its tests have told together.
-        changes: how often the motor had been found changed; counted anew after a restart.
         delay_s: that was taken off its voltage.
     """
 
@@ -53,7 +52,6 @@ class FitResult:
     noise_a: float
     has_fitted: bool
     evidence: Evidence = NO_EVIDENCE
-    changes: int = 0
     delay_s: float = 0.0
 
     @property
@@ -100,5 +98,5 @@ class FitResult:
             plain.get('noise_a', 0.0),  # releases before kept none
             plain.get('has_fitted', True),  # likewise
             Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
-            delay_s=plain.get('delay_s', 0.0),  # likewise
+            plain.get('delay_s', 0.0),  # likewise
         )

@@ -16,7 +16,8 @@ import numpy as np
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.projection import bandwidth
-from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, StampError
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
+from gray_box_observer.fit_test.stamp_errors import STAMP_STD, StampError
 from gray_box_observer.white_box.interface import Array
 
 RATIO_MISFIT = 4.5
@@ -102,10 +103,6 @@ FEW_PERIODS = 2.5
 """Factor on a deviation, less 1, by bandwidth over samples: a covariance that is itself estimated
 from few periods of the correlation is often too small (Kiefer and Vogelsang 2005). With it three
 deviations hold what three of a known normal distribution do, within 3 % from 64 to 2048 samples."""
-
-STAMP_STD = 0.05
-"""Standard deviation of a constant error, in sample intervals, that the stamps of a driver are
-thought to have: by how much a voltage acts later or earlier than they say."""
 
 STAMP_STDS = 4.0
 """Standard deviations from which the data are thought to tell such an error."""

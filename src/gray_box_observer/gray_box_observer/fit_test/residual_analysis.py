@@ -28,14 +28,27 @@ from gray_box_observer.fit_test.input_noise import (
     voltage_variances,
 )
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
+from gray_box_observer.fit_test.least_squares import (
+    doubts_by_stamps,
+    lasting,
+    least_squares_of,
+    pooled_evidence,
+    shown_steps,
+    steady_least_squares,
+)
 from gray_box_observer.fit_test.projection import (
     DISTINCT,
-    Amount,
     Projection,
     long_run_covariance,
 )
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.rounding import rounding_errors
+from gray_box_observer.fit_test.stamp_errors import (
+    StampError,
+    stamp_amounts,
+    stamp_errors,
+    stamp_responses,
+)
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -74,22 +87,11 @@ SCATTERED = 2.0
 """Times the other residuals, by their medians, that these must be: in white noise they reach 1.6.
 """
 
-RARE = 0.05
-"""Share of the samples at which a voltage moves below which no controller sets it."""
-
 PERSISTENT_LAG = 1.0 / 3.0
 """Mechanical time constants after which a load on the shaft still shows in the current."""
 
 FEWEST_MECHANICAL = 20.0
 """Sample intervals in such a time constant, from which noise with a memory is none of a load."""
-
-DELAY, LEAD, LEAST_SQUARES = 'delay', 'lead', 'least_squares.'
-"""Names of what windows tell: errors of stamps in sample intervals, and logarithms of parameters.
-"""
-
-STEP_STDS, MATURE_STEP_STDS = 3.0, 2.0
-"""Standard deviations of the least squares of all windows from which an estimate is not there, and
-the same once it rests on more than one window: the prior holds an estimate at first."""
 
 SMALLEST = 1e-12
 """Noise floor in A that is believed at least, where no current flows."""
@@ -111,20 +113,6 @@ class EffectScore:
     score: float
     shift: Array
     amounts: Array
-
-
-@dataclass(frozen=True, eq=False)
-class StampError:
-    """A constant error of the voltage's stamps.
-
-    Attributes:
-        shift: shape (parameter,): by how much the logarithms of the parameters would move by an
-            error of one sample interval.
-        amount: how much of it the data tell, in sample intervals, all parameters being free.
-    """
-
-    shift: Array
-    amount: Amount
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,36 +223,31 @@ def analyse(
     noise_a = max(size_a, floor_a)
     robust_std = np.full(p.shape[1], np.nan) if is_white else projection.robust_std()
     theta = to_parameters(p)[0]
-    later_a, sooner_a = _stamp_responses(run)
+    responses_a = stamp_responses(run)
     window = {
-        DELAY: projection.amount(later_a, noise_a, is_white=is_white),
-        LEAD: projection.amount(
-            sooner_a, noise_a, is_white=is_white, instrument_a=_instrument(run, sooner_a)
-        ),
+        **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
         **voltage_variances(run),
     }
-    if not white_box.has_rotor:
-        values = _least_squares_values(white_box, theta, projection, noise_a, robust_std)
-        if is_drifting:  # all but the inductance are others than before
-            moving_names = [name for name in values if name != f'{LEAST_SQUARES}inductance']
-            earlier = earlier.without(moving_names)
-            values = {name: one for name, one in values.items() if name not in moving_names}
-        if earlier.contradicts(values):
-            earlier = earlier.without(values)
-        window |= values
     count = residual.size
-    evidence = earlier.with_window(window, count, count if new is None else new)
-    delay, lead = (
-        StampError(-projection.shift(projection.with_weight(response_a)), evidence.amount(name))
-        for name, response_a in ((DELAY, later_a), (LEAD, sooner_a))
-    )
-    variances = {name: evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
+    new_count = count if new is None else new
+    input_evidence = earlier.with_window(window, count, new_count)
+    delay, lead = stamp_errors(projection, responses_a, input_evidence)
+    variances = {name: input_evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
+    least_squares = {}
+    if not white_box.has_rotor:
+        least_squares = least_squares_of(white_box, theta, projection, noise_a, robust_std)
+    if is_drifting:
+        steady_ones = steady_least_squares(least_squares)
+        earlier = earlier.without([name for name in least_squares if name not in steady_ones])
+        least_squares = steady_ones
+    doubts = doubts_by_stamps(white_box, (delay, lead))
+    evidence = pooled_evidence(earlier, window, least_squares, doubts, count, new_count)
     rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
-        _shown_steps(white_box, theta, evidence),
+        shown_steps(white_box, theta, evidence),
         *(
             projection.open_shift(doubt, noise_a, is_white=is_white)
             for doubt in (
@@ -289,7 +272,7 @@ def analyse(
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(open_shifts),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
-        evidence=evidence,
+        evidence=lasting(evidence, least_squares),
     )
 
 
@@ -302,67 +285,6 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
         None if speed is None else interval_means(speed),
         has_rotor=white_box.has_rotor,
     )
-
-
-def _least_squares_values(
-    white_box: WhiteBox, theta: Array, projection: Projection, noise_a: float, robust_std: Array
-) -> dict[str, Amount]:
-    """Return the logarithms of the parameters where the window has its least squares, by name.
-
-    The estimate is near them: one step of Gauss and Newton will do, and errs by its square.
-    """
-    steps = projection.shift(projection.residual)
-    stds = np.fmax(projection.white_std(noise_a), robust_std)
-    values = zip(white_box.parameters, theta, steps, stds, strict=True)
-    return {
-        f'{LEAST_SQUARES}{parameter.name}': Amount(
-            math.log(value) + step, math.hypot(std, step * step)
-        )
-        for parameter, value, step, std in values
-    }
-
-
-def _shown_steps(white_box: WhiteBox, theta: Array, evidence: Evidence) -> Array:
-    """Return how far the estimate is from the least squares of all windows, (1, parameter).
-
-    Noise that is not white moves an estimate that linearises about noisy readings. The free run is
-    not moved.
-    """
-    steps = np.zeros((1, theta.size))
-    least_stds = MATURE_STEP_STDS if evidence.is_mature else STEP_STDS
-    for place, parameter in enumerate(white_box.parameters):
-        amount = evidence.amount(f'{LEAST_SQUARES}{parameter.name}')
-        step = amount.mean - math.log(theta[place])
-        if abs(step) > least_stds * amount.std:
-            steps[0, place] = step
-    return steps
-
-
-def _stamp_responses(run: FreeRun) -> Array:
-    """Return how the current answers where the voltage acts later or earlier than it is stamped.
-
-    By one sample interval each. Small parts of it do not only differ in sign: of a delay the
-    interval in which the voltage has moved tells, of a lead the one before.
-
-    Returns:
-        Shape (2, k + 1), in A.
-    """
-    voltage_v = run.stretch.voltage_v[0]
-    later_v = -np.diff(voltage_v, prepend=voltage_v[:1])
-    earlier_v = np.diff(voltage_v, append=voltage_v[-1:])
-    return run.response(np.stack([later_v, earlier_v]))
-
-
-def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:
-    """Return what to look for a lead with, shape (k + 1,); None: its response itself.
-
-    A controller answers the noise of a reading by its next voltage, and so seems to know it
-    beforehand. A voltage that hardly ever moves answers none.
-    """
-    voltage_v = run.stretch.voltage_v[0]
-    if np.count_nonzero(np.diff(voltage_v)) < RARE * voltage_v.size:
-        return None
-    return np.concatenate([[0.0], run.decay * earlier_a[:-1]])
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:

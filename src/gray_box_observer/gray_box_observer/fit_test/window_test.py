@@ -127,24 +127,12 @@ class MotorUnderTest:
 
     @property
     def evidence(self) -> Evidence:
-        """What its tests have told together, since it was found changed or its delay was."""
+        """What its tests have told together, since it, its delay or its speed was found another."""
         before = self.before
         if before is None or before.delay_s != self.delay.applied_s:
             return NO_EVIDENCE
-        has_changed = self.begin > before.begin
-        if self._begins_windows_later:
-            has_changed = self.changes != before.changes
-        return NO_EVIDENCE if has_changed else before.evidence
-
-    @property
-    def _begins_windows_later(self) -> bool:
-        """Whether the fits of a measured speed move the begin, though the motor is the same."""
-        return bool(self.nodes.counters(self.motor).get('speed is noisy or late', 0))
-
-    @property
-    def changes(self) -> int:
-        """How often it was found changed."""
-        return self.nodes.counters(self.motor).get('motor changes', 0)
+        is_same = self.begin == before.begin
+        return before.evidence if is_same else NO_EVIDENCE
 
     @property
     def new_samples(self) -> int:
@@ -332,7 +320,6 @@ class WindowTest:
                 begin=motor.begin,
                 wait=wait,
                 evidence=analysis.evidence,
-                changes=motor.changes,
                 delay_s=motor.delay.applied_s,
             )
         assessment = FitAssessment(
@@ -352,7 +339,6 @@ class WindowTest:
             finding.noise_a,
             is_ok or (before is not None and before.has_fitted),
             motor.evidence if is_misfit else analysis.evidence,
-            motor.changes,
             motor.delay.applied_s,
         )
 

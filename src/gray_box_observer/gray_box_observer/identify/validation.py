@@ -253,10 +253,6 @@ class _Heard:
         """Tell whether what heats drifts: what was frozen does not."""
         return False
 
-    def counters(self, motor: int | None = None) -> dict[str, int]:
-        """What a rule has met: nothing was learnt."""
-        return {}
-
 
 def _fit(outcome: offline_run.Outcome, name: str, rows: Sequence[Sequence[float]]) -> FitAssessment:
     """Test whether the white box, as it was frozen, explains the data that it is judged on."""
