@@ -14,6 +14,7 @@ from common.trust.scenarios import scenarios
 from common.trust.trial import KNOWN, LONGEST_FALSE_S, STDS, Trial
 
 COLOURED_LOOP = 'coloured noise, closed loop'
+HEATING = 'a winding that heats'
 UNITS_GROUP = 'units and signs'
 
 
@@ -61,6 +62,7 @@ def figures(trials: Sequence[Trial], before: Mapping[str, Mapping[str, float]]) 
         *_compared(right, before),
         _first_suspects(wrong),
         _coloured_loop(judged),
+        _heated(judged),
         *_mistakes(judged),
         *_costs(right, wrong),
         Figure('tracebacks', float(sum(bool(trial.failure) for trial in trials)), 0.0),
@@ -132,6 +134,14 @@ def _coloured_loop(judged: Sequence[Trial]) -> Figure:
     return at_least(
         f'closed loop, coloured noise: within 3 std, of {len(within)}, in %', share, 97.0
     )
+
+
+def _heated(judged: Sequence[Trial]) -> Figure:
+    """Least share of the time in which the resistance of a winding that heats is known."""
+    some = [trial for trial in judged if scenario_of(trial).group == HEATING]
+    shares = [trial.known_shares.get('resistance', 0.0) for trial in some]
+    name = f'winding that heats: R known, of the time since it was, worst of {len(some)}, in %'
+    return at_least(name, 100.0 * min(shares) if shares else None, 60.0)
 
 
 def _mistakes(judged: Sequence[Trial]) -> Iterable[Figure]:

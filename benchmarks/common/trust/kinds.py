@@ -44,6 +44,9 @@ FORWARD = steps(2.0, 12.0, 0.1, 1.0)
 SLOW = steps(3.0, 12.0, 0.5, 2.0)
 THESIS_STEPS = steps(5.0, 15.0, 1.0, 20.0)
 
+HEATING_PARTS = 400
+"""Motors that a winding which heats is one after the other."""
+
 THESIS: dict[str, Any] = {
     'motor': thesis_motor,
     'rate_hz': 100.0,
@@ -85,8 +88,27 @@ def _drawn_with(motor: Any, values: dict[str, float], rng: Any) -> Motor:
     return drawn
 
 
-def motor_changed(**factors: float) -> Any:
-    """Return the change of a motor by factors."""
-    return lambda motor: replace(
+def motor_changed(times: int = 1, **factors: float) -> Any:
+    """Return the course of a motor that changes by factors, back, and so on, so many times."""
+    return partial(_alternating, times, factors)
+
+
+def _alternating(times: int, factors: dict[str, float], motor: Motor) -> tuple[Motor, ...]:
+    after = _multiplied(motor, factors)
+    return tuple(after if k % 2 else motor for k in range(times + 1))
+
+
+def winding_heated(factor: float, share: float = 1.0) -> Any:
+    """Return the course of a motor whose resistance rises by a factor in a share of the record."""
+    return partial(_heating, factor, share)
+
+
+def _heating(factor: float, share: float, motor: Motor) -> tuple[Motor, ...]:
+    progress = [min(k / (HEATING_PARTS * share), 1.0) for k in range(HEATING_PARTS)]
+    return tuple(_multiplied(motor, {'resistance': factor**part}) for part in progress)
+
+
+def _multiplied(motor: Motor, factors: dict[str, float]) -> Motor:
+    return replace(
         motor, **{name: factor * getattr(motor, name) for name, factor in factors.items()}
     )

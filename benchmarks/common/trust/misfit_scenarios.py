@@ -223,15 +223,14 @@ def _drivers() -> Iterator[Scenario]:
 
 def _changes() -> Iterator[Scenario]:
     group = 'a motor that keeps changing'
-    loose = motor_changed(resistance=1.3)
+    loose = motor_changed(24, resistance=1.3)
     suspects = (*CHANGE, *VOLTAGE_GAIN)
-    yield case(group, 'R by 30 %', GEAR, change=loose, changes=24, holds=False, suspects=suspects)
+    yield case(group, 'R by 30 %', GEAR, course=loose, holds=False, suspects=suspects)
     yield case(
         group,
         'R by 10 %, no rotor',
         THESIS_LIKE,
-        change=motor_changed(resistance=1.1),
-        changes=20,
+        course=motor_changed(20, resistance=1.1),
         holds=False,
         suspects=suspects,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from zlib import crc32
 
@@ -45,8 +45,7 @@ class Scenario:
         start: initial values; others begin at their defaults.
         parameters: of the user, beside the constants, without the motor's name.
         driver, sensor, log: effects, in order.
-        change: what becomes of the motor.
-        changes: how often in the record, at equal spans of time; every second time it changes back.
+        course: makes the motors that it is one after the other, for equal spans of time.
         scale: whether a scale is wrong, which nothing can see.
         effects: true values of what driver and sensor do, by the parameters that stand for it.
         words: what a message must contain to name the fault, as a regular expression; empty: not
@@ -70,8 +69,7 @@ class Scenario:
     driver: tuple[Shape, ...] = ()
     sensor: tuple[Shape, ...] = ()
     log: tuple[Reading, ...] = ()
-    change: Callable[[Motor], Motor] | None = None
-    changes: int = 1
+    course: Callable[[Motor], tuple[Motor, ...]] = lambda motor: (motor,)
     scale: bool = False
     effects: Mapping[str, float] = field(default_factory=dict)
     words: str = ''
@@ -87,9 +85,9 @@ class Record:
         readings: the log; the current in A, from which torque is made by the user's torque
             constant.
         parameters: what the user configures, by full names.
-        truth: true values by names of parameters; an offset of the voltage is 0 but where a
-            scenario has one, and is left out where the current has one: nobody can name it in V.
-        changed: true values after every odd one of the changes.
+        truths: true values by names of parameters, between the changes of the motor; an offset of
+            the voltage is 0 but where a scenario has one, and is left out where the current has
+            one: nobody can name it in V.
         change_ns: stamps of the changes.
     """
 
@@ -97,9 +95,13 @@ class Record:
     seed: int
     readings: Readings
     parameters: dict[str, object]
-    truth: dict[str, float]
-    changed: dict[str, float]
+    truths: tuple[dict[str, float], ...]
     change_ns: tuple[int, ...] = ()
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """True values at its begin."""
+        return self.truths[0]
 
     @property
     def torque_nm(self) -> FloatArray:
@@ -121,24 +123,21 @@ def make_record(scenario: Scenario, seed: int) -> Record:
         log = effect(log, rng)
     if not scenario.speed:
         log = replace(log, speed_rad_s=np.full(log.torque_stamp_ns.size, math.nan))
-    after = motor if scenario.change is None else scenario.change(motor)
-    change_ns = tuple(int(log.torque_stamp_ns[k]) for k in _change_samples(scenario, size))
+    motors = scenario.course(motor)
+    change_ns = tuple(int(log.torque_stamp_ns[k]) for k in _change_samples(motors, size))
     return Record(
         scenario,
         seed,
         log,
         _parameters(scenario, motor),
-        _truth(scenario, motor),
-        _truth(scenario, after),
+        tuple(_truth(scenario, one) for one in motors),
         change_ns,
     )
 
 
-def _change_samples(scenario: Scenario, size: int) -> list[int]:
-    """First samples after each change of the motor."""
-    if scenario.change is None:
-        return []
-    return [size * k // (scenario.changes + 1) for k in range(1, scenario.changes + 1)]
+def _change_samples(motors: Sequence[Motor], size: int) -> list[int]:
+    """First samples of each motor but the first."""
+    return [size * k // len(motors) for k in range(1, len(motors))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +163,10 @@ def _course(scenario: Scenario, motor: Motor, size: int, rng: np.random.Generato
         0.0
     ]  # the state after the last step of an interval is that at the next stamp
     speeds: list[float] = [0.0]
-    for part, held in enumerate(
-        np.split(true_v, [SUBSTEPS * k for k in _change_samples(scenario, size)])
-    ):
-        if scenario.change is not None:
-            plant.change(scenario.change(motor) if part % 2 else motor)
+    motors = scenario.course(motor)
+    parts = np.split(true_v, [SUBSTEPS * k for k in _change_samples(motors, size)])
+    for present, held in zip(motors, parts, strict=True):
+        plant.change(present)
         more_a, more_w = plant.run(held.tolist())
         currents += more_a
         speeds += more_w

@@ -9,6 +9,7 @@ from functools import cache
 from common.trust import effects
 from common.trust.excitations import CurrentLoop, SpeedLoop, chirp, plus, prbs, ramps, sine, steps
 from common.trust.kinds import (
+    BLOCKED,
     CHANGE,
     FORWARD,
     GEAR,
@@ -18,6 +19,7 @@ from common.trust.kinds import (
     case,
     motor_changed,
     motor_with,
+    winding_heated,
 )
 from common.trust.misfit_scenarios import misfit_scenarios
 from common.trust.motors import (
@@ -146,8 +148,17 @@ def _hard_but_right() -> Iterator[Scenario]:
     hotter = motor_changed(resistance=1.3)
     stiffer = motor_changed(inductance=0.7)
     twice = {'duration_s': 120.0, 'excitation': steps(3.0, 15.0, 0.5, 5.0), 'suspects': CHANGE}
-    yield case(group, 'R by 30 %, no rotor', THESIS | twice, change=hotter)
-    yield case(group, 'L by -30 %, no rotor', THESIS | twice, change=stiffer)
+    yield case(group, 'R by 30 %, no rotor', THESIS | twice, course=hotter)
+    yield case(group, 'L by -30 %, no rotor', THESIS | twice, course=stiffer)
     gear = GEAR | {'suspects': CHANGE, 'duration_s': 10.0}
-    yield case(group, 'R by 30 %, speed measured', gear, change=hotter)
-    yield case(group, 'R by 3 %, speed measured', gear, change=motor_changed(resistance=1.03))
+    yield case(group, 'R by 30 %, speed measured', gear, course=hotter)
+    yield case(group, 'R by 3 %, speed measured', gear, course=motor_changed(resistance=1.03))
+    group = 'a winding that heats'
+    noisy = BLOCKED | {'noise': 0.05}
+    yield case(group, 'R by 10 %, blocked', noisy, course=winding_heated(1.1))
+    yield case(group, 'R by 10 %, then constant, blocked', noisy, course=winding_heated(1.1, 0.6))
+    warm = GEAR | {'duration_s': 20.0}
+    yield case(
+        group, 'R by 4 %, then constant, speed measured', warm, course=winding_heated(1.04, 0.5)
+    )
+    yield case(group, 'R by 4 %, speed measured', warm, course=winding_heated(1.04))

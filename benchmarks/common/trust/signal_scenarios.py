@@ -233,7 +233,7 @@ def _hardly_seen() -> Iterator[Scenario]:
             f'{parameter} times {factor:g}, noise {100.0 * noise:g} %',
             wrong,
             noise=noise,
-            change=motor_changed(**{parameter: factor}),
+            course=motor_changed(**{parameter: factor}),
             suspects=CHANGE,
         )
     group = 'current averaged, speed measured, noise 5 %'

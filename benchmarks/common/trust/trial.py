@@ -7,6 +7,7 @@ import math
 import time
 import traceback
 import warnings
+from bisect import bisect_right
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -54,6 +55,8 @@ class Trial:
         false_longest_s: longest time without a break in which any parameter was believed and wrong.
         identified_s: when each parameter that is known at the end came to be known for the first
             time.
+        known_shares: share of the time in which each parameter was known once it was for the first
+            time; 0 where it never was.
         fit: what the result says of the fit; empty where it says nothing.
         warnings: what the user is told.
         cost_ms: mean CPU time of the first FIRST_SAMPLES samples.
@@ -76,6 +79,7 @@ class Trial:
     false_at_end: list[str] = field(default_factory=list)
     false_longest_s: float = 0.0
     identified_s: dict[str, float] = field(default_factory=dict)
+    known_shares: dict[str, float] = field(default_factory=dict)
     fit: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     cost_ms: float = math.nan
@@ -116,7 +120,10 @@ class _Watch:
         self._record = record
         self._first_ns = int(record.readings.torque_stamp_ns[0])
         self._false_since_ns: int | None = None
-        self._known_since: dict[str, float] = {}
+        self._last_ns = self._first_ns
+        self._known_since_ns: dict[str, int] = {}
+        self._known_ns: dict[str, int] = {}
+        self._known_names: set[str] = set()
         self.longest_ns = 0
         self.non_finite = 0
         self.indefinite = 0
@@ -133,12 +140,11 @@ class _Watch:
             self._false_since_ns = None
         elif self._false_since_ns is None:
             self._false_since_ns = stamp_ns
-        time_s = (stamp_ns - self._first_ns) / 1e9
-        for parameter, verdict in zip(
-            result.estimate.parameters, result.estimate.verdicts[0], strict=True
-        ):
-            if verdict.value in KNOWN:
-                self._known_since.setdefault(parameter.name, time_s)
+        self._count_known(stamp_ns)
+        verdicts = zip(result.estimate.parameters, result.estimate.verdicts[0], strict=True)
+        self._known_names = {one.name for one, verdict in verdicts if verdict.value in KNOWN}
+        for name in self._known_names:
+            self._known_since_ns.setdefault(name, stamp_ns)
 
     def _check(self, estimate: Estimate) -> None:
         value = estimate.value[0]
@@ -155,13 +161,26 @@ class _Watch:
         if self._false_since_ns is not None:
             self.longest_ns = max(self.longest_ns, stamp_ns - self._false_since_ns)
 
+    def _count_known(self, stamp_ns: int) -> None:
+        for name in self._known_names:
+            self._known_ns[name] = self._known_ns.get(name, 0) + stamp_ns - self._last_ns
+        self._last_ns = stamp_ns
+
     def close(self) -> None:
         """End the record."""
-        self._count_false(int(self._record.readings.torque_stamp_ns[-1]))
+        last_ns = int(self._record.readings.torque_stamp_ns[-1])
+        self._count_false(last_ns)
+        self._count_known(last_ns)
 
     def known_since_s(self, parameter: str) -> float:
         """When a parameter came to be known for the first time, in s since the first sample."""
-        return self._known_since.get(parameter, math.nan)
+        since_ns = self._known_since_ns.get(parameter)
+        return math.nan if since_ns is None else (since_ns - self._first_ns) / 1e9
+
+    def known_share(self, parameter: str) -> float:
+        """Share of the time since then in which it was known; 0 where it never was."""
+        since_ns = self._known_since_ns.get(parameter, self._last_ns)
+        return self._known_ns.get(parameter, 0) / max(self._last_ns - since_ns, 1)
 
 
 def run_trial(record: Record) -> Trial:
@@ -255,6 +274,7 @@ def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> N
             trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
         if trial.verdicts[name] in KNOWN:
             trial.identified_s[name] = watch.known_since_s(name)
+        trial.known_shares[name] = watch.known_share(name)
     trial.false_at_end = false_parameters(
         record, estimate, int(record.readings.torque_stamp_ns[-1])
     )
@@ -262,8 +282,7 @@ def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> N
 
 def truth_at(record: Record, stamp_ns: int) -> dict[str, float]:
     """True values at an instant."""
-    passed = sum(stamp_ns >= change_ns for change_ns in record.change_ns)
-    return record.changed if passed % 2 else record.truth
+    return record.truths[bisect_right(record.change_ns, stamp_ns)]
 
 
 def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[str]:

@@ -192,7 +192,7 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
     [
         ('delay_s', math.inf, 'delay_s'),
         ('delay_s', 'late', 'delay_s'),
-        ('evidence', {'samples': 10.0, 'mixed_until': -1.0, 'amounts': {}}, 'mixed_until'),
+        ('evidence', {'samples': -1.0, 'amounts': {}}, 'samples'),
         ('evidence', [], 'evidence'),
         ('begin', 1.5, 'begin'),
     ],

@@ -19,7 +19,6 @@ from gray_box_observer.fit_test.policy import (
     SCORE_DOUBT,
     SCORE_MEASURED,
     SCORE_UNMEASURED,
-    STAMP_STDS,
     STANDING,
     WHITENESS_DOUBT,
     WHITENESS_WIDENS,
@@ -31,7 +30,7 @@ from gray_box_observer.fit_test.residual_analysis import (
     EffectScore,
     ResidualAnalysis,
 )
-from gray_box_observer.fit_test.stamp_errors import STAMP_STD, StampError
+from gray_box_observer.fit_test.stamp_errors import STAMP_STD, STAMP_STDS, StampError
 
 SAMPLES = 1000
 NO_ERROR = StampError(np.zeros(2), UNKNOWN)

@@ -32,13 +32,11 @@ class Evidence:
 
     Attributes:
         amounts: of which something is known.
-        samples: how many the tests have seen.
-        mixed_until: samples up to which a window may hold some from before a contradiction.
+        samples: how many they rest on.
     """
 
     amounts: Mapping[str, Amount] = field(default_factory=dict)
     samples: float = 0.0
-    mixed_until: float = 0.0
 
     @property
     def is_mature(self) -> bool:
@@ -53,11 +51,6 @@ class Evidence:
         """Return an amount; of an unknown name, the unknown."""
         return self.amounts.get(name, UNKNOWN)
 
-    @property
-    def is_mixed(self) -> bool:
-        """Whether its newest window may hold samples from before a contradiction and after it."""
-        return self.samples < self.mixed_until
-
     def without(self, names: Collection[str]) -> Evidence:
         """Return it without some amounts."""
         rest = {name: one for name, one in self.amounts.items() if name not in names}
@@ -66,13 +59,6 @@ class Evidence:
     def with_amounts(self, amounts: Mapping[str, Amount]) -> Evidence:
         """Return it with some amounts in place of what was known of them."""
         return replace(self, amounts={**self.amounts, **_known(amounts)})
-
-    def contradicted(self) -> Evidence:
-        """Return it as it is once its newest window has contradicted the ones before.
-
-        Nobody knows at which sample. So windows are mixed until one holds none of these.
-        """
-        return replace(self, mixed_until=self.samples + WINDOW)
 
     def contradicts(self, window: Mapping[str, Amount], more_stds: Mapping[str, float]) -> bool:
         """Tell whether a window finds an amount that is clearly another.
@@ -110,13 +96,13 @@ class Evidence:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         amounts = {name: [one.mean, one.std] for name, one in self.amounts.items()}
-        return {'samples': self.samples, 'mixed_until': self.mixed_until, 'amounts': amounts}
+        return {'samples': self.samples, 'amounts': amounts}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Evidence:
         """Take back what :meth:`to_dict` gave, once it was checked."""
         amounts = {name: Amount(*pair) for name, pair in plain['amounts'].items()}
-        return cls(amounts, plain['samples'], plain.get('mixed_until', 0.0))
+        return cls(amounts, plain['samples'])
 
 
 NO_EVIDENCE = Evidence()

@@ -12,7 +12,7 @@ import numpy as np
 
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.projection import Amount, Projection
-from gray_box_observer.fit_test.stamp_errors import STAMP_STD, StampError
+from gray_box_observer.fit_test.stamp_errors import StampError
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 LEAST_SQUARES = 'least_squares.'
@@ -51,10 +51,11 @@ def least_squares_of(
 def doubts_by_stamps(white_box: WhiteBox, errors: Sequence[StampError]) -> dict[str, float]:
     """Return by how much errors of the stamps move the least squares of a window, by name.
 
-    They move those of a window that is excited otherwise by another amount. That is no other motor.
+    Those of a window that is excited otherwise move by another amount, and it is the same motor.
+    Only errors that show count.
     """
-    sizes = [abs(error.amount.likely(STAMP_STD).mean) * np.abs(error.shift) for error in errors]
-    doubts = np.sqrt(np.sum(np.square(sizes), axis=0))
+    sizes = [error.amount.mean * error.shift for error in errors if error.is_shown]
+    doubts = np.sqrt(np.sum(np.square([np.zeros(len(white_box.parameters)), *sizes]), axis=0))
     return {
         f'{LEAST_SQUARES}{parameter.name}': float(doubt)
         for parameter, doubt in zip(white_box.parameters, doubts, strict=True)
@@ -77,35 +78,19 @@ def pooled_evidence(
 ) -> Evidence:
     """Return what all windows tell. Least squares that contradict earlier ones begin anew.
 
-    As long as a window may hold samples of both, its own least squares stand for all.
+    Their window may hold samples from before a change and after it. It counts by its new ones.
 
     Args:
         earlier: what the windows before have told.
         window: what the newest one tells of all else, by name.
         least_squares: where it has its least squares, by name.
-        doubts: standard deviations by which these may differ beside, by name.
+        doubts: by how much these may differ though the motor is the same, by name.
         samples: of the window.
         new: how many of these came after the window before.
     """
-    is_contradicted = earlier.contradicts(least_squares, doubts)
-    if is_contradicted:
+    if earlier.contradicts(least_squares, doubts):
         earlier = earlier.without(least_squares)
-    evidence = earlier.with_window({**window, **least_squares}, samples, new)
-    if is_contradicted:
-        evidence = evidence.contradicted()
-    if evidence.is_mixed:
-        evidence = evidence.without(least_squares).with_amounts(least_squares)
-    return evidence
-
-
-def lasting(evidence: Evidence, least_squares: Mapping[str, Amount]) -> Evidence:
-    """Return what of it the next windows may be pooled with.
-
-    Args:
-        evidence: what :func:`pooled_evidence` gives.
-        least_squares: those of the newest window.
-    """
-    return evidence.without(least_squares) if evidence.is_mixed else evidence
+    return earlier.with_window({**window, **least_squares}, samples, new)
 
 
 def shown_steps(white_box: WhiteBox, theta: Array, evidence: Evidence) -> Array:

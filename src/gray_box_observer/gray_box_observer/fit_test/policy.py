@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.projection import bandwidth
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
-from gray_box_observer.fit_test.stamp_errors import STAMP_STD, StampError
+from gray_box_observer.fit_test.stamp_errors import StampError
 from gray_box_observer.white_box.interface import Array
 
 RATIO_MISFIT = 4.5
@@ -103,9 +103,6 @@ FEW_PERIODS = 2.5
 """Factor on a deviation, less 1, by bandwidth over samples: a covariance that is itself estimated
 from few periods of the correlation is often too small (Kiefer and Vogelsang 2005). With it three
 deviations hold what three of a known normal distribution do, within 3 % from 64 to 2048 samples."""
-
-STAMP_STDS = 4.0
-"""Standard deviations from which the data are thought to tell such an error."""
 
 OPEN = 0.04
 """Standard deviation of the inductance, relative to it, by what the data leave of such an error.
@@ -283,10 +280,9 @@ def _doubted_amount(error: StampError, *, is_mature: bool) -> float:
         error: as the data have it.
         is_mature: whether the tests rest on more than one window: then it always counts.
     """
-    amount = error.amount.likely(STAMP_STD)
-    is_shown = abs(amount.mean) > STAMP_STDS * amount.std
+    amount = error.likely_amount
     is_open = amount.std * abs(float(error.shift[INDUCTANCE])) > OPEN
-    return amount.size if is_shown or is_open or is_mature else 0.0
+    return amount.size if error.is_shown or is_open or is_mature else 0.0
 
 
 def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> bool:

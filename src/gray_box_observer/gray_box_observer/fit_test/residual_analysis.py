@@ -30,7 +30,6 @@ from gray_box_observer.fit_test.input_noise import (
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.least_squares import (
     doubts_by_stamps,
-    lasting,
     least_squares_of,
     pooled_evidence,
     shown_steps,
@@ -272,7 +271,7 @@ def analyse(
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(open_shifts),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
-        evidence=lasting(evidence, least_squares),
+        evidence=evidence,
     )
 
 

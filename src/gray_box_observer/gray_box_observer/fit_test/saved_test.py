@@ -111,8 +111,6 @@ def check_evidence(plain: Mapping[str, Any]) -> None:
         CheckpointError: it is such.
     """
     number(plain, 'samples', 0.0, float(MOST))
-    if 'mixed_until' in plain:
-        number(plain, 'mixed_until', 0.0, float(MOST))
     amounts = group(plain, 'amounts')
     if len(amounts) > MOST_AMOUNTS:
         raise CheckpointError(f'fit.evidence holds {len(amounts)} amounts, at most {MOST_AMOUNTS}')

@@ -18,6 +18,9 @@ STAMP_STD = 0.05
 """Standard deviation of a constant error, in sample intervals, that the stamps of a driver are
 thought to have: by how much a voltage acts later or earlier than they say."""
 
+STAMP_STDS = 4.0
+"""Standard deviations from which the data are thought to tell such an error."""
+
 RARE = 0.05
 """Share of the samples at which a voltage moves below which no controller sets it."""
 
@@ -34,6 +37,17 @@ class StampError:
 
     shift: Array
     amount: Amount
+
+    @property
+    def likely_amount(self) -> Amount:
+        """The amount where it is known beforehand how exact the stamps of a driver are."""
+        return self.amount.likely(STAMP_STD)
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the data tell that there is such an error."""
+        amount = self.likely_amount
+        return abs(amount.mean) > STAMP_STDS * amount.std
 
 
 def stamp_responses(run: FreeRun) -> Array:
