@@ -158,7 +158,7 @@ def test_reading_after_closing_is_an_error(make_bag):
         ('missing', None, 'no such bag'),
         ('empty.mcap', b'', 'is empty'),
         ('text.mcap', b'time,voltage\n0,1\n', 'is no MCAP file'),
-        ('log.CSV', b'time,voltage\n0,1\n', '--from-csv LOG --columns'),
+        ('log.CSV', b'time,voltage\n0,1\n', r'--from-csv \S+log.CSV --columns'),
         ('short.mcap', b'\x89MC', 'is no MCAP file'),
         ('sqlite.db3', b'SQLite format 3\x00' + bytes(100), 'ros2 bag convert'),
         ('magic.mcap', b'\x89MCAP0\r\n', 'no message'),

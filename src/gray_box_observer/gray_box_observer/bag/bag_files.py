@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 from collections import Counter
 from collections.abc import Collection, Container
 from dataclasses import dataclass, replace
@@ -336,9 +337,8 @@ class BagFiles:
             stream.seek(0)
             if stream.read(len(MAGIC)) != MAGIC:
                 if path.suffix.lower() in LOG_SUFFIXES:
-                    remedy = (
-                        '`identify NEW_BAG --from-csv LOG --columns ...` makes a bag of columns'
-                    )
+                    command = f'identify NEW_BAG --from-csv {shlex.quote(str(path))} --columns ...'
+                    remedy = f'`{command}` makes a bag of columns'
                 else:
                     remedy = f'of another kind of bag, {conversion(path)} makes one'
                 raise BagError(f'{path} is no MCAP file; {remedy}')
