@@ -15,10 +15,16 @@ from linear_motor_records import (
     steps,
 )
 
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.free_run import free_run
-from gray_box_observer.fit_test.input_noise import input_noise_scores, voltage_variances
-from gray_box_observer.fit_test.projection import Projection
+from gray_box_observer.fit_test.input_noise import (
+    BY_NEIGHBOURS,
+    BY_THE_ONE_BEFORE,
+    input_noise_scores,
+    voltage_variances,
+)
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
@@ -173,6 +179,22 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
     bias = _fitted_step(blocked, stretch)[0]
     assert bias > 0.05
     assert 0.5 * bias < inductance_shift < 5.0 * bias
+
+
+def test_under_a_controller_that_answers_the_largest_likely_noise_counts() -> None:
+    p, stretch = _coordinates(L_AND_R), _measured(_motor(RHO), 1, VOLTAGE)
+    run = free_run(L_AND_R, p, stretch)
+
+    def scores(by_neighbours: Amount, by_the_one_before: Amount) -> Floats:
+        variances = {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
+        return input_noise_scores(L_AND_R, p, run, variances)
+
+    answered, little, much = Amount(-1.0, 0.1), Amount(1e-4, 2e-4), Amount(1.0, 2.0)
+    expected = scores(Amount(3e-4, 1e-9), UNKNOWN)  # the mean and a standard deviation
+    assert scores(answered, little) == pytest.approx(expected, rel=1e-3)
+    largest_v2 = difference_noise(stretch.voltage_v[0]) ** 2  # the readings scatter by no more
+    expected = scores(Amount(largest_v2, 1e-9), UNKNOWN)
+    assert scores(answered, much) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize('seed', range(5))
