@@ -13,6 +13,7 @@ import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.identify import command
 from gray_box_observer.identify.command import main
 
 Messages = list[tuple[str, int, bytes]]
@@ -93,6 +94,16 @@ def test_json_on_standard_output_is_the_promised_form(identify: Run, bag: Path) 
 
 
 @pytest.mark.slow
+def test_long_work_says_how_far_it_is_where_no_terminal_shows_a_bar(
+    identify: Run, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, 'LINE_PERIOD_S', 0.0)
+    code, _, said = identify(bag, '--skip-predictor')
+    assert code == 0
+    lines = [line for line in said.splitlines() if line.startswith('identify: reading: ')]
+    assert lines[-1] == 'identify: reading: 4000 of 4000 messages'
+
+
 def test_the_predictor_is_scored_unless_it_is_skipped(
     identify: Run, bag: Path, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ import argparse
 import shlex
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -53,6 +54,9 @@ EXIT_CODES = (
     'not met; 130: interrupted'
 )
 """What the command ends with, for people."""
+
+LINE_PERIOD_S = 30.0
+"""Time between two lines of progress where no terminal shows a bar."""
 
 MOST_NAMED = 20
 """Unknown parameters that get a line each."""
@@ -369,7 +373,7 @@ def _tell_summary(log: Path, bag: Path, summary: CsvSummary) -> None:
 def _progress(
     bags: Sequence[Path], limits: ReadLimits, work: str
 ) -> Iterator[Callable[[int], object]]:
-    """Show a bar of the messages read, where somebody watches.
+    """Show a bar of the messages read; where nobody watches, a line now and then.
 
     Args:
         bags: whose messages are counted.
@@ -377,16 +381,38 @@ def _progress(
         work: what is done with them; the bar stands while the predictor is trained.
     """
     if not sys.stderr.isatty():
-        yield lambda count: None
+        yield _lines_of_progress(bags, limits, work)
         return
     from tqdm import tqdm
 
+    total = _message_count(bags, limits)
+    with tqdm(total=total, desc=work, unit=' messages', file=sys.stderr, leave=False) as bar:
+        yield bar.update
+
+
+def _message_count(bags: Sequence[Path], limits: ReadLimits) -> int:
+    """Return how many messages there are in all bags."""
     total = 0
     for path in bags:
         with BagReader(path, limits) as bag:
             total += bag.message_count
-    with tqdm(total=total, desc=work, unit=' messages', file=sys.stderr, leave=False) as bar:
-        yield bar.update
+    return total
+
+
+def _lines_of_progress(
+    bags: Sequence[Path], limits: ReadLimits, work: str
+) -> Callable[[int], object]:
+    """Return what counts messages, and says every LINE_PERIOD_S how many there were."""
+    count, line_at_s = 0, time.monotonic() + LINE_PERIOD_S
+
+    def update(more: int) -> None:
+        nonlocal count, line_at_s
+        count += more
+        if time.monotonic() >= line_at_s:
+            line_at_s = time.monotonic() + LINE_PERIOD_S
+            _tell(f'{work}: {count} of {_message_count(bags, limits)} messages')
+
+    return update
 
 
 def _histories(
