@@ -32,6 +32,23 @@ def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_i
     assert found['back_emf_constant']['inductance'] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_current_that_was_read_leaves_of_the_torque_constant_the_speed_alone(
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., list[Sample]],
+) -> None:
+    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
+    for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0)):
+        nodes.learn(sample)
+    found = sensitivity(thesis_box, nodes.replay, nodes.theta, reads_current=True)
+    assert found is not None
+    by_constant = found['torque_constant']
+    # w = Kt i rises by 1 %, and so K_HS falls; R loses 1 % of Kb Kt = 1e-4 ohm
+    assert by_constant['hysteresis'] == pytest.approx(-1.0, abs=0.02)
+    assert by_constant['resistance'] == pytest.approx(-1e-4, rel=0.05)
+    assert by_constant['inductance'] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_too_few_samples_tell_nothing(
     thesis_box: MotorWhiteBox,
     record: Callable[..., Recording],

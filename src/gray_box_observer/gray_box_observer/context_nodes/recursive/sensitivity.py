@@ -22,7 +22,7 @@ FEWEST = 100
 
 
 def sensitivity(
-    white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array
+    white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array, *, reads_current: bool = False
 ) -> dict[str, dict[str, float]] | None:
     """Return the change of every parameter, in %, per one per cent of each known constant.
 
@@ -30,6 +30,8 @@ def sensitivity(
         white_box: the physics with its constants.
         replay: the samples remembered, all of which are fitted.
         theta: shape (motor, parameter): where the fits start.
+        reads_current: whether the torque was read as a current, which an error of Kt leaves as it
+            is.
 
     Returns:
         By constant and parameter, of the first motor; None where too little is remembered to tell,
@@ -49,9 +51,11 @@ def sensitivity(
             white_box, known={**white_box.known, name: (1.0 + CHANGE) * value}
         )
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        nominal = _fit(white_box, replay, theta)
+        stretch = SampleWindow.newest(white_box, replay, len(replay))
+        nominal = _fit(white_box, stretch, theta)
         ratios = {
-            name: _fit(other, replay, theta) / nominal - 1.0
+            name: _fit(other, stretch if reads_current else _reread(other, replay), theta) / nominal
+            - 1.0
             for name, other in perturbed_models.items()
         }
     if not all(np.all(np.isfinite(ratio)) for ratio in ratios.values()):
@@ -63,9 +67,13 @@ def sensitivity(
     }
 
 
-def _fit(white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array) -> Array:
+def _reread(white_box: MotorWhiteBox, replay: ReplayBuffer) -> SampleWindow:
+    """Read the current from the torque by the torque constant of another motor."""
+    return SampleWindow.newest(white_box, replay, len(replay))
+
+
+def _fit(white_box: MotorWhiteBox, stretch: SampleWindow, theta: Array) -> Array:
     start = to_coordinates(theta)
-    stretch = SampleWindow.newest(white_box, replay, len(replay))
     return to_parameters(
         batch_fit(white_box, stretch, start, Prior.vague(start, VAGUE), FLOOR).belief.p
     )

@@ -213,7 +213,12 @@ def _derived(motor: MotorView) -> tuple[DerivedFigure, ...]:
 
 def _sensitivity(motor: MotorView) -> dict[str, dict[str, float]] | None:
     """How an error of the known constants goes into the estimate, from what the rule remembers."""
-    return sensitivity(motor.white_box, motor.remembered(), motor.theta)
+    return sensitivity(
+        motor.white_box,
+        motor.remembered(),
+        motor.theta,
+        reads_current=motor.configuration.reads_current,
+    )
 
 
 def _alarm_notes(times_s: list[float]) -> list[str]:
@@ -233,11 +238,12 @@ def notes(name: str, observer: Observer) -> list[str]:
         for term in white_box.known
         if term != 'back_emf_constant' and term not in white_box.context_nodes
     ]
-    scaling = (
-        ''
-        if other_constants
-        else ': every parameter scales with it (1 % more of it, 1 % more of each)'
-    )
+    scaling = ': every parameter scales with it (1 % more of it, 1 % more of each)'
+    if other_constants:
+        scaling = ''
+    elif motor.configuration.reads_current:
+        by_speed = '' if white_box.speed_measured else ' but by the speed w = Kt i'
+        scaling = f'. The current is read, and no estimate depends on Kt{by_speed}'
     sentences = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
     if 'back_emf_constant' not in values['context_nodes']:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
