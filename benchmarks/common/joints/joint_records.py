@@ -95,4 +95,4 @@ def joint_record(seed: int) -> Record:
     if joint.load in ('none', 'constant'):
         truth['load_torque'] = joint.load_torque_nm
     readings = Readings(stamps, stamps, volt, measured_a, measured_rad_s)
-    return Record(scenario, seed, readings, parameters, truth, truth)
+    return Record(scenario, seed, readings, parameters, (truth,))

@@ -62,7 +62,7 @@ def figures(trials: Sequence[Trial], before: Mapping[str, Mapping[str, float]]) 
         *_compared(right, before),
         _first_suspects(wrong),
         _coloured_loop(judged),
-        _heated(judged),
+        *_heated(judged),
         *_mistakes(judged),
         *_costs(right, wrong),
         Figure('tracebacks', float(sum(bool(trial.failure) for trial in trials)), 0.0),
@@ -136,12 +136,15 @@ def _coloured_loop(judged: Sequence[Trial]) -> Figure:
     )
 
 
-def _heated(judged: Sequence[Trial]) -> Figure:
-    """Least share of the time in which the resistance of a winding that heats is known."""
+def _heated(judged: Sequence[Trial]) -> list[Figure]:
+    """Share of the time in which R of a winding that heats is known and right, and its misfits."""
     some = [trial for trial in judged if scenario_of(trial).group == HEATING]
-    shares = [trial.known_shares.get('resistance', 0.0) for trial in some]
-    name = f'winding that heats: R known, of the time since it was, worst of {len(some)}, in %'
-    return at_least(name, 100.0 * min(shares) if shares else None, 60.0)
+    shares = [trial.right_shares.get('resistance', 0.0) for trial in some]
+    name = f'winding that heats or cools: R known and right, of the time, of {len(some)}, in %'
+    return [
+        at_least(name, 100.0 * float(np.mean(shares)) if shares else None, 60.0),
+        Figure('  misfit at the end, in %', _percent(lambda t: t.is_misfit, some), None),
+    ]
 
 
 def _mistakes(judged: Sequence[Trial]) -> Iterable[Figure]:

@@ -186,7 +186,13 @@ def _closed_loop(
     time_s: FloatArray,
     rng: np.random.Generator,
 ) -> _Course:
-    """Let the controller answer each measurement with the voltage until the next."""
+    """Let the controller answer each measurement with the voltage until the next.
+
+    Raises:
+        ValueError: the scenario has effects of a sensor: they are for records without a controller.
+    """
+    if scenario.sensor:
+        raise ValueError(f'{scenario.name}: a controller reads the current as it is')
     reference = loop.scale(motor) * loop.reference(time_s, rng)
     controller = Controller(loop.gains(motor, scenario.rate_hz), reference)
     typical_a = 0.3 * 12.0 / motor.resistance
@@ -198,7 +204,11 @@ def _closed_loop(
     measured = np.empty(time_s.size)
     speed = np.empty(time_s.size)
     grid = Grid(SUBSTEPS, 1.0 / scenario.rate_hz)
+    motors = scenario.course(motor)
+    changed_motors = dict(zip(_change_samples(motors, time_s.size), motors[1:], strict=True))
     for k in range(time_s.size):
+        if k in changed_motors:
+            plant.change(changed_motors[k])
         measured[k] = plant.current_a + added[k]
         speed[k] = plant.speed_rad_s
         voltage[k] = controller.voltage(k, float(speed[k] if loop.follows_speed else measured[k]))

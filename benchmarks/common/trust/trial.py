@@ -55,14 +55,14 @@ class Trial:
         false_longest_s: longest time without a break in which any parameter was believed and wrong.
         identified_s: when each parameter that is known at the end came to be known for the first
             time.
-        known_shares: share of the time in which each parameter was known once it was for the first
-            time; 0 where it never was.
+        right_shares: share of the record in which each parameter was known and right.
         fit: what the result says of the fit; empty where it says nothing.
         warnings: what the user is told.
         cost_ms: mean CPU time of the first FIRST_SAMPLES samples.
         cost_share: the same over that of a fixed piece of work along these.
         whole_cost_share: the same of the whole record.
         worst_ms: largest CPU time of a sample.
+        end_ms: CPU time of what is left to be done behind the last sample.
         samples: how many came.
         non_finite: estimates with a value, a standard deviation or a covariance that is not finite.
         indefinite: estimates whose covariance is not positive definite.
@@ -79,13 +79,14 @@ class Trial:
     false_at_end: list[str] = field(default_factory=list)
     false_longest_s: float = 0.0
     identified_s: dict[str, float] = field(default_factory=dict)
-    known_shares: dict[str, float] = field(default_factory=dict)
+    right_shares: dict[str, float] = field(default_factory=dict)
     fit: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     cost_ms: float = math.nan
     cost_share: float = math.nan
     whole_cost_share: float = math.nan
     worst_ms: float = math.nan
+    end_ms: float = math.nan
     samples: int = 0
     non_finite: int = 0
     indefinite: int = 0
@@ -113,37 +114,57 @@ class Trial:
         return asdict(self)
 
 
-class _Watch:
+class Watch:
     """Follows what is believed along a record."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
         self._first_ns = int(record.readings.torque_stamp_ns[0])
         self._false_since_ns: int | None = None
+        self._estimate: Estimate | None = None
+        self._change_count = 0
         self._last_ns = self._first_ns
         self._known_since_ns: dict[str, int] = {}
-        self._known_ns: dict[str, int] = {}
-        self._known_names: set[str] = set()
+        self._right_ns: dict[str, int] = {}
+        self._right_names: set[str] = set()
         self.longest_ns = 0
         self.non_finite = 0
         self.indefinite = 0
 
     def add(self, result: Result) -> None:
         """Go on by one result."""
-        if result.estimate is None:
+        self.believe(result.estimate, result.sample.stamp_ns)
+
+    def believe(self, estimate: Estimate | None, stamp_ns: int) -> None:
+        """Judge what is believed from an instant on.
+
+        Args:
+            estimate: that goes out then; None: the one before stands, of a motor that may be
+                another by now.
+            stamp_ns: the instant.
+        """
+        change_count = bisect_right(self._record.change_ns, stamp_ns)
+        if estimate is not None:
+            self._check(estimate)
+            self._estimate = estimate
+        elif self._estimate is None or change_count == self._change_count:
             return
-        stamp_ns = result.sample.stamp_ns
-        self._check(result.estimate)
-        false = bool(false_parameters(self._record, result.estimate, stamp_ns))
+        self._change_count = change_count
+        self._judge(self._estimate, stamp_ns)
+
+    def _judge(self, estimate: Estimate, stamp_ns: int) -> None:
+        """Count how long the beliefs before stood, and whether these are false."""
         self._count_false(stamp_ns)
-        if not false:
+        self._count_right(stamp_ns)
+        false_names = false_parameters(self._record, estimate, stamp_ns)
+        if not false_names:
             self._false_since_ns = None
         elif self._false_since_ns is None:
             self._false_since_ns = stamp_ns
-        self._count_known(stamp_ns)
-        verdicts = zip(result.estimate.parameters, result.estimate.verdicts[0], strict=True)
-        self._known_names = {one.name for one, verdict in verdicts if verdict.value in KNOWN}
-        for name in self._known_names:
+        verdicts = zip(estimate.parameters, estimate.verdicts[0], strict=True)
+        names = {one.name for one, verdict in verdicts if verdict.value in KNOWN}
+        self._right_names = names.difference(false_names)
+        for name in names:
             self._known_since_ns.setdefault(name, stamp_ns)
 
     def _check(self, estimate: Estimate) -> None:
@@ -161,36 +182,35 @@ class _Watch:
         if self._false_since_ns is not None:
             self.longest_ns = max(self.longest_ns, stamp_ns - self._false_since_ns)
 
-    def _count_known(self, stamp_ns: int) -> None:
-        for name in self._known_names:
-            self._known_ns[name] = self._known_ns.get(name, 0) + stamp_ns - self._last_ns
+    def _count_right(self, stamp_ns: int) -> None:
+        for name in self._right_names:
+            self._right_ns[name] = self._right_ns.get(name, 0) + stamp_ns - self._last_ns
         self._last_ns = stamp_ns
 
     def close(self) -> None:
         """End the record."""
         last_ns = int(self._record.readings.torque_stamp_ns[-1])
         self._count_false(last_ns)
-        self._count_known(last_ns)
+        self._count_right(last_ns)
 
     def known_since_s(self, parameter: str) -> float:
         """When a parameter came to be known for the first time, in s since the first sample."""
         since_ns = self._known_since_ns.get(parameter)
         return math.nan if since_ns is None else (since_ns - self._first_ns) / 1e9
 
-    def known_share(self, parameter: str) -> float:
-        """Share of the time since then in which it was known; 0 where it never was."""
-        since_ns = self._known_since_ns.get(parameter, self._last_ns)
-        return self._known_ns.get(parameter, 0) / max(self._last_ns - since_ns, 1)
+    def right_share(self, parameter: str) -> float:
+        """Share of the record in which it was known and right."""
+        return self._right_ns.get(parameter, 0) / max(self._last_ns - self._first_ns, 1)
 
 
 def run_trial(record: Record) -> Trial:
     """Run one record; a traceback is part of the result."""
     trial = Trial(record.scenario.name, record.seed)
-    watch = _Watch(record)
+    watch = Watch(record)
     try:
         with warnings.catch_warnings(), np.errstate(all='ignore'):
             warnings.simplefilter('ignore')
-            outcome = observe(record, watch.add, trial)
+            outcome = observe(record, watch, trial)
             watch.close()
             trial.warnings = warnings_of(outcome)
             estimates = outcome.observer.estimates()
@@ -207,7 +227,7 @@ def run_trial(record: Record) -> Trial:
     return trial
 
 
-def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
+def observe(record: Record, watch: Watch, trial: Trial) -> offline_run.Outcome:
     """Feed a record to an observer of its own; note what it cost."""
     configuration = Configuration.from_flat(record.parameters)
     observer = Observer(configuration)
@@ -222,11 +242,17 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
             *observer.voltage(MOTOR, voltage_ns, volt),
             *observer.torque(MOTOR, torque_ns, torque, speed),
         ]
+        news = _retested(observer)
         costs_ns.append(time.thread_time_ns() - begun_ns)
         if len(costs_ns) % YARDSTICK_EVERY == 0:
             yardsticks_ns.append(_yardstick_ns())
-        _note(results, outcome, listener)
-    _note(observer.flush(), outcome, listener)
+        _note(results, outcome, watch)
+        watch.believe(news, torque_ns)
+    begun_ns = time.thread_time_ns()
+    results = observer.flush()
+    observer.finish()
+    trial.end_ms = (time.thread_time_ns() - begun_ns) / 1e6
+    _note(results, outcome, watch)
     observer.close()
     trial.samples = len(costs_ns)
     first_ns, yardsticks_ns = costs_ns[:FIRST_SAMPLES], yardsticks_ns or [_yardstick_ns()]
@@ -250,16 +276,25 @@ def _yardstick_ns() -> int:
     return time.thread_time_ns() - begun_ns
 
 
-def _note(results: list[Result], outcome: offline_run.Outcome, listener: Any) -> None:
+def _retested(observer: Observer) -> Estimate | None:
+    """Return the estimate where a test has changed what is believed of it, as nodes publish it."""
+    group = observer.group_of(MOTOR) if MOTOR in observer.motors else None
+    if group is None or group.observer is None or not any(group.observer.retested().values()):
+        return None
+    estimate: Estimate = observer.estimates()[MOTOR]
+    return estimate
+
+
+def _note(results: list[Result], outcome: offline_run.Outcome, watch: Watch) -> None:
     for result in results:
         course = outcome.courses.get(result.motor)
         if course is None:
             course = outcome.courses[result.motor] = offline_run.Course(result.sample.stamp_ns)
         course.update(result)
-        listener(result)
+        watch.add(result)
 
 
-def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> None:
+def _judge(record: Record, estimate: Estimate, watch: Watch, trial: Trial) -> None:
     """Compare the last estimate with the truth."""
     truth = truth_at(record, int(record.readings.torque_stamp_ns[-1]))
     for j, parameter in enumerate(estimate.parameters):
@@ -274,7 +309,7 @@ def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> N
             trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
         if trial.verdicts[name] in KNOWN:
             trial.identified_s[name] = watch.known_since_s(name)
-        trial.known_shares[name] = watch.known_share(name)
+        trial.right_shares[name] = watch.right_share(name)
     trial.false_at_end = false_parameters(
         record, estimate, int(record.readings.torque_stamp_ns[-1])
     )
@@ -295,7 +330,7 @@ def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[
             continue
         true = truth[parameter.name]
         if verdict == 'negligible':
-            is_false = _voltage_share(record, parameter.name, true) > NEGLIGIBLE_VOLTAGE
+            is_false = _voltage_share(record, parameter.name, true, stamp_ns) > NEGLIGIBLE_VOLTAGE
         else:
             error = abs(float(estimate.value[0, j]) - true)
             is_false = not (
@@ -306,14 +341,14 @@ def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[
     return false
 
 
-def _voltage_share(record: Record, parameter: str, true: float) -> float:
+def _voltage_share(record: Record, parameter: str, true: float, stamp_ns: int) -> float:
     """Share of the root mean square voltage that a parameter truly moves."""
     log = record.readings
     speed = log.speed_rad_s
     if not record.scenario.speed:
         speed = record.torque_nm
     # a friction is the voltage that the resistance takes of the current which overcomes it
-    opposes = record.truth['resistance'] / record.parameters['motor.torque_constant']
+    opposes = truth_at(record, stamp_ns)['resistance'] / record.parameters['motor.torque_constant']
     signals = {
         'hysteresis': np.abs(speed) * log.current_a,
         'resistance': log.current_a,

@@ -195,6 +195,7 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
         ('evidence', {'samples': -1.0, 'amounts': {}}, 'samples'),
         ('evidence', [], 'evidence'),
         ('begin', 1.5, 'begin'),
+        ('present_since', 'now', 'present_since'),
     ],
 )
 def test_a_checkpoint_with_an_absurd_test_is_refused(

@@ -74,7 +74,8 @@ def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_
     for k in range(2 * FEW - 1):
         torque_nm = float(TORQUE_CONSTANT * stretch.state[0, k + 1])
         replay.append(Sample.of_one_motor(k, INTERVAL_S, float(voltage_v[k]), torque_nm))
-    nodes = cast(Any, SimpleNamespace(replay=replay, is_drifting=lambda _: False))
+    answers = {'is_drifting': lambda _: False, 'present_since': lambda _: 0}
+    nodes = cast(Any, SimpleNamespace(replay=replay, **answers))
     later = MotorUnderTest(nodes, motor.estimate, 0, DelayEstimate(0.0, False), rich)
     tested = test.test(later, FEW)
     assert tested.assessment is rich.assessment

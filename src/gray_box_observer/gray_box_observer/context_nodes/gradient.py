@@ -131,6 +131,10 @@ class GradientUpdate:
         """The gradient rule keeps no count."""
         return {}
 
+    def present_since(self, motor: int) -> int:
+        """Return the place from which one motor is the present one: that of its last change."""
+        return self.replay.begin_of(motor)
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift: this rule never asks."""
         return False

@@ -48,6 +48,12 @@ class ContextUpdate(Protocol):
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """What the rule has met so far, by a name for diagnostics; of one motor or of all."""
 
+    def present_since(self, motor: int) -> int:
+        """Return the place from which one motor is the present one: that of its last change.
+
+        Samples before it may be remembered no more; the place stays, also in a checkpoint.
+        """
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift."""
 

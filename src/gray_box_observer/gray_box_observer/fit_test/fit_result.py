@@ -39,6 +39,7 @@ class FitResult:
             where none did.
         evidence: what its tests have told together.
         delay_s: that was taken off its voltage.
+        present_since: place in its stream from which the motor had been the present one.
     """
 
     assessment: FitAssessment
@@ -53,6 +54,7 @@ class FitResult:
     has_fitted: bool
     evidence: Evidence = NO_EVIDENCE
     delay_s: float = 0.0
+    present_since: int = 0
 
     @property
     def is_lasting_misfit(self) -> bool:
@@ -80,6 +82,7 @@ class FitResult:
             'has_fitted': self.has_fitted,
             'evidence': self.evidence.to_dict(),
             'delay_s': self.delay_s,
+            'present_since': self.present_since - received_count,
         }
 
     @classmethod
@@ -99,4 +102,5 @@ class FitResult:
             plain.get('has_fitted', True),  # likewise
             Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
             plain.get('delay_s', 0.0),  # likewise
+            plain.get('present_since', plain['begin']) + received_count,
         )

@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict, misfit
+from gray_box_observer.context_nodes.estimate import (
+    COUNTS_AS_KNOWN,
+    Estimate,
+    Verdict,
+    misfit,
+    unsettled,
+)
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
@@ -144,7 +150,7 @@ class FitMonitor:
             motor = int(motors[row])
             result = self._results[motor]
             if result is None:
-                verdicts[row] = tuple(map(_at_most_converging, verdicts[row]))
+                verdicts[row] = tuple(map(unsettled, verdicts[row]))
                 continue
             if result.judgement.widens:
                 covariance = covariance.copy() if covariance is estimate.covariance else covariance
@@ -194,8 +200,10 @@ def _limited(
     stds = [math.sqrt(x) if x >= 0.0 else math.nan for x in variances]
     share, reach = nodes.voltage_shares(motor)
     most = judgement.largest_shares(values, share.tolist(), reach.tolist())
-    return covariance, nodes.verdict_rules.judge_motor(estimate.parameters, values, stds, most)
+    verdicts = nodes.verdict_rules.judge_motor(estimate.parameters, values, stds, most)
+    return covariance, tuple(map(_no_better, verdicts, estimate.verdicts[row]))
 
 
-def _at_most_converging(verdict: Verdict) -> Verdict:
-    return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
+def _no_better(verdict: Verdict, of_the_rule: Verdict) -> Verdict:
+    """Return a verdict that a wider deviation has left, unless the rule knows less."""
+    return verdict if of_the_rule in COUNTS_AS_KNOWN else unsettled(verdict)

@@ -131,8 +131,13 @@ class MotorUnderTest:
         before = self.before
         if before is None or before.delay_s != self.delay.applied_s:
             return NO_EVIDENCE
-        is_same = self.begin == before.begin
+        is_same = self.present_since == before.present_since
         return before.evidence if is_same else NO_EVIDENCE
+
+    @property
+    def present_since(self) -> int:
+        """Place from which it is the motor that it is now."""
+        return self.nodes.present_since(self.motor)
 
     @property
     def new_samples(self) -> int:
@@ -321,6 +326,7 @@ class WindowTest:
                 wait=wait,
                 evidence=analysis.evidence,
                 delay_s=motor.delay.applied_s,
+                present_since=motor.present_since,
             )
         assessment = FitAssessment(
             judgement.verdict, analysis.ratio, analysis.whiteness, _first_of_each(suspects),
@@ -340,6 +346,7 @@ class WindowTest:
             is_ok or (before is not None and before.has_fitted),
             motor.evidence if is_misfit else analysis.evidence,
             motor.delay.applied_s,
+            motor.present_since,
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:

@@ -253,6 +253,10 @@ class _Heard:
         """Tell whether what heats drifts: what was frozen does not."""
         return False
 
+    def present_since(self, motor: int) -> int:
+        """Return from where the motor is the present one: all of these samples are of one."""
+        return 0
+
 
 def _fit(outcome: offline_run.Outcome, name: str, rows: Sequence[Sequence[float]]) -> FitAssessment:
     """Test whether the white box, as it was frozen, explains the data that it is judged on."""

@@ -179,6 +179,11 @@ class MeasuredSpeedUpdate:
         return self._is_noisy
 
     @property
+    def _is_unexplained(self) -> bool:
+        """Whether the fit of both outputs does not explain the newest samples."""
+        return self._failures > 0 or self._outputs.is_in_doubt
+
+    @property
     def verdict_rules(self) -> VerdictSettings:
         """When a parameter counts as identified; may be changed at any time."""
         return self._exact.verdict_rules
@@ -220,6 +225,15 @@ class MeasuredSpeedUpdate:
         fit = self._outputs.output_fit
         return round(1e6 * fit.lag()[0]) if fit is not None and self._is_noisy else 0
 
+    def present_since(self, motor: int) -> int:
+        """Return the place from which the motor is the present one, by the rule that is believed.
+
+        A speed that is doubted makes another motor of it: the estimate is of other samples.
+        """
+        if not self._is_noisy:
+            return self._exact.present_since(motor)
+        return max(self._noisy_from, self._outputs.present_since(motor))
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether the motor is known to drift; of an output with noise that is not asked."""
         return not self._is_noisy and self._exact.is_drifting(motor)
@@ -257,7 +271,7 @@ class MeasuredSpeedUpdate:
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_frozen = self._outputs.is_frozen
         verdicts = self.verdict_rules.judge(parameters, value, std, is_frozen=is_frozen, most=most)
-        if self._failures > 0:  # the newest samples are not explained
+        if self._is_unexplained:
             verdicts = tuple(tuple(map(unsettled, own)) for own in verdicts)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
@@ -358,10 +372,10 @@ class MeasuredSpeedUpdate:
             go_on: goes on with it.
             has_changed: whether the recursive rule has changed its own.
         """
-        before, fits = (self._is_noisy, self._failures > 0), self._outputs.counters()
+        before, fits = (self._is_noisy, self._is_unexplained), self._outputs.counters()
         has_fitted = self._has_fitted(go_on)
         if self._is_noisy or before[0]:
-            has_changed = has_fitted or (self._is_noisy, self._failures > 0) != before
+            has_changed = has_fitted or (self._is_noisy, self._is_unexplained) != before
         if self._mechanics is not None:
             has_changed |= self._outputs.counters() != fits
         self._change_flags = _CHANGED if has_changed else _UNCHANGED
@@ -416,9 +430,8 @@ class MeasuredSpeedUpdate:
             return False
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
-        begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
         samples = with_motor_speed(samples, fit)
-        self._samples = remembering(samples, place, begin)
+        self._samples = remembering(samples, place, self.present_since(motor=0))
         self._shares = self._measured_shares(samples, fit)
         return True
 
@@ -569,8 +582,7 @@ class MeasuredSpeedUpdate:
         self._shares = arrays[_SHARES]
         samples = arrays[_SAMPLES][:, 0]
         place = newest_place + whole(own, 'place', samples.shape[1] - newest_place, 0)
-        begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
-        self._samples = remembering(samples, place, begin)
+        self._samples = remembering(samples, place, self.present_since(motor=0))
 
 
 def _interval_s(fit: OutputFit) -> float:

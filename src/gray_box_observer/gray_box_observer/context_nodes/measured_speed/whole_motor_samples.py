@@ -31,9 +31,9 @@ def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:
     Args:
         samples: shape (signal, n).
         place: of the last one in the motor's stream.
-        begin: place before the oldest sample of the present motor, which may be gone by now.
+        begin: place before the oldest sample that counts.
     """
     count = samples.shape[1]
     buffer = ReplayBuffer(1, count)
-    buffer.refill(samples[:, None], dropped_count=place - count, begin=begin)
+    buffer.refill(samples[:, None], dropped_count=place - count, begin=max(begin, place - count))
     return buffer

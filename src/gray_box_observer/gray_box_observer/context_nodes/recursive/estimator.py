@@ -146,6 +146,10 @@ class RecursiveEstimator:
             return {name: int(count.sum()) for name, count in counts.items()}
         return {name: int(count[motor]) for name, count in counts.items()}
 
+    def present_since(self, motor: int) -> int:
+        """Return the place from which one motor is the present one: that of its last change."""
+        return self.replay.begin_of(motor)
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift."""
         return bool(self._state.walk_rate[motor] > 0.0)

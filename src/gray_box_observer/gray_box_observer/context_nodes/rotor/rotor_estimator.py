@@ -24,6 +24,7 @@ from gray_box_observer.context_nodes.estimate import (
     VerdictSettings,
     bounded,
     spread_of_values,
+    unsettled,
 )
 from gray_box_observer.context_nodes.pieces import (
     FINISHED,
@@ -129,6 +130,10 @@ class RotorUpdate:
         """Windows that no fit was found for."""
         return self._learner.counts['windows without fit']
 
+    def present_since(self, motor: int) -> int:
+        """Return the place from which one motor is the present one: that of its last change."""
+        return self.replay.begin_of(motor)
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether the motor is known to drift: this rule never asks."""
         return False
@@ -156,17 +161,25 @@ class RotorUpdate:
         verdicts = self.verdict_rules.judge(
             parameters, theta, std, is_frozen=self._is_frozen, most=most
         )
+        if self.is_in_doubt:
+            verdicts = (tuple(map(unsettled, verdicts[0])),)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample and go on with the fit that is due; tell whether it has ended.
+        """Take one sample and go on with a fit that is due; tell whether the estimate has changed.
 
-        Then the estimate has changed.
+        It has where the fit has ended, or finds that the newest samples are not explained.
         """
+        was_in_doubt = self.is_in_doubt
         self.remember(sample)
         if self.is_due:
             self.begin_fit()
-        return bool(self.advance())
+        return bool(self.advance()) or self.is_in_doubt != was_in_doubt
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether what explained the motor before does not explain the samples being fitted."""
+        return self._learner.is_in_doubt
 
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""

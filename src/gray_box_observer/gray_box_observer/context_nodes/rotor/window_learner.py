@@ -67,6 +67,8 @@ class WindowLearner:
         is_settled: whether the motor is explained.
         has_rivals: whether other ends explain the samples as well.
         is_new_motor: whether the newest window is another motor's than the one before.
+        is_in_doubt: whether what explained the motor so far does not explain the window under way,
+            and another explanation is searched.
         counts: of what was met, by a name for diagnostics.
         speed_measured: whether windows hold a speed that is fitted too.
     """
@@ -100,6 +102,7 @@ class WindowLearner:
         self.is_settled = False
         self.has_rivals = True
         self.is_new_motor = False
+        self.is_in_doubt = False
         self.counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
 
     @property
@@ -117,6 +120,7 @@ class WindowLearner:
         """
         self.is_new_motor = False
         fit = (yield from self._solvable(window)) if window.spread_a > 0.0 else None
+        self.is_in_doubt = False
         if fit is None:
             self.counts['windows without fit'] += 1
             return False
@@ -188,6 +192,7 @@ class WindowLearner:
             fit = yield from self._fitted_again(window)
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
                 return fit
+            self.is_in_doubt = True
         other = yield from self._searched_anywhere(window)
         if self.is_settled and self.memory is not None and other is not None:
             self.counts['motor changes'] += 1
@@ -243,7 +248,7 @@ class WindowLearner:
 
     def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Take back arrays that :meth:`check` lets pass, and flags."""
-        self.is_settled = plain['settled']
+        self.is_settled, self.is_in_doubt = plain['settled'], False
         self.logarithms, self.covariance = arrays['logarithms'], arrays['covariance']
         self.noise_a = float(arrays['noise'][0])
         self.share, self.reach = arrays['share'], arrays['reach']
