@@ -44,8 +44,8 @@ FORWARD = steps(2.0, 12.0, 0.1, 1.0)
 SLOW = steps(3.0, 12.0, 0.5, 2.0)
 THESIS_STEPS = steps(5.0, 15.0, 1.0, 20.0)
 
-HEATING_PARTS = 400
-"""Motors that a winding which heats is one after the other."""
+DRIFT_PARTS = 400
+"""Motors that one which drifts is, one after the other."""
 
 THESIS: dict[str, Any] = {
     'motor': thesis_motor,
@@ -98,14 +98,17 @@ def _alternating(times: int, factors: dict[str, float], motor: Motor) -> tuple[M
     return tuple(after if k % 2 else motor for k in range(times + 1))
 
 
-def winding_heated(factor: float, share: float = 1.0) -> Any:
-    """Return the course of a motor whose resistance rises by a factor in a share of the record."""
-    return partial(_heating, factor, share)
+def motor_drifted(share: float = 1.0, **factors: float) -> Any:
+    """Return the course of a motor that drifts by factors, in a share of the record."""
+    return partial(_drifting, share, factors)
 
 
-def _heating(factor: float, share: float, motor: Motor) -> tuple[Motor, ...]:
-    progress = [min(k / (HEATING_PARTS * share), 1.0) for k in range(HEATING_PARTS)]
-    return tuple(_multiplied(motor, {'resistance': factor**part}) for part in progress)
+def _drifting(share: float, factors: dict[str, float], motor: Motor) -> tuple[Motor, ...]:
+    progress = [min(k / (DRIFT_PARTS * share), 1.0) for k in range(DRIFT_PARTS)]
+    return tuple(
+        _multiplied(motor, {name: factor**part for name, factor in factors.items()})
+        for part in progress
+    )
 
 
 def _multiplied(motor: Motor, factors: dict[str, float]) -> Motor:

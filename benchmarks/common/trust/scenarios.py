@@ -18,8 +18,8 @@ from common.trust.kinds import (
     THESIS_STEPS,
     case,
     motor_changed,
+    motor_drifted,
     motor_with,
-    winding_heated,
 )
 from common.trust.misfit_scenarios import misfit_scenarios
 from common.trust.motors import (
@@ -155,8 +155,8 @@ def _hard_but_right() -> Iterator[Scenario]:
     yield case(group, 'R by 3 %, speed measured', gear, course=motor_changed(resistance=1.03))
     group = 'a winding that heats'
     noisy = BLOCKED | {'noise': 0.05, 'duration_s': 20.0}
-    hot, cold = winding_heated(1.1), winding_heated(0.9)
-    then_hot = winding_heated(1.1, 0.5)
+    hot, cold = motor_drifted(resistance=1.1), motor_drifted(resistance=0.9)
+    then_hot = motor_drifted(0.5, resistance=1.1)
     yield case(group, 'by 10 %, blocked', noisy, course=hot)
     yield case(group, 'by 10 %, then constant, blocked', noisy, course=then_hot)
     binary = prbs(-9.0, 9.0, 0.05)
@@ -165,15 +165,22 @@ def _hard_but_right() -> Iterator[Scenario]:
     yield case(group, 'cools by 10 %, blocked', noisy, course=cold)
     yield case(group, 'by 10 %, sine', noisy, course=hot, excitation=sine(9.0, 3.0, 1.0))
     warm = GEAR | {'duration_s': 20.0}
-    yield case(group, 'by 4 %, then constant, speed', warm, course=winding_heated(1.04, 0.5))
-    yield case(group, 'by 4 %, speed', warm, course=winding_heated(1.04))
+    then_warm = motor_drifted(0.5, resistance=1.04)
+    yield case(group, 'by 4 %, then constant, speed', warm, course=then_warm)
+    yield case(group, 'by 4 %, speed', warm, course=motor_drifted(resistance=1.04))
     loop = CurrentLoop(steps(-0.5, 0.5, 0.02, 0.2))
     looped = warm | {'excitation': loop}
-    yield case(group, 'by 4 %, current loop, speed', looped, course=winding_heated(1.04))
-    yield case(group, 'cools by 4 %, speed', warm, course=winding_heated(0.96))
+    yield case(group, 'by 4 %, current loop, speed', looped, course=motor_drifted(resistance=1.04))
+    yield case(group, 'cools by 4 %, speed', warm, course=motor_drifted(resistance=0.96))
     group = 'a motor that changes, its speed noisy'
     noisy_speed = GEAR | {'holds': False, 'suspects': CHANGE, 'log': (effects.speed_noise(0.005),)}
     hotter_by_a_tenth = motor_changed(resistance=1.1)
     for duration_s in (4.0, 5.0, 20.0, 8.0):
         record = noisy_speed | {'duration_s': duration_s}
         yield case(group, f'R by 10 %, {duration_s:g} s', record, course=hotter_by_a_tenth)
+    group = 'an inductance that drifts'
+    drift = {'holds': False, 'duration_s': 20.0, 'course': motor_drifted(inductance=0.85)}
+    yield case(group, 'by -15 %, blocked', BLOCKED | drift)
+    yield case(group, 'by -15 %, speed measured', GEAR | drift)
+    yield case(group, 'by -15 %, blocked, noise 5 %', BLOCKED | drift, noise=0.05)
+    yield case(group, 'by -15 % in 5 s, speed measured', GEAR | drift | {'duration_s': 5.0})

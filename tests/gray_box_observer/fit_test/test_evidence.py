@@ -205,9 +205,7 @@ def _motor_under_test(begin: int, delay_s: float) -> MotorUnderTest:
     assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
     known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)
     numbers = (9000, 8000, 64, 1.0, 0, 0.1)
-    before = FitResult(
-        assessment, judgement, np.ones(2), *numbers, True, known, present_since=2048
-    )
+    before = FitResult(assessment, judgement, np.ones(2), *numbers, True, known, present_since=2048)
     estimate: Any = None
     return MotorUnderTest(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
 
