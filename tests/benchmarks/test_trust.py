@@ -14,7 +14,7 @@ import pytest
 from common.trust import effects
 from common.trust.drawn import command_failure, draw
 from common.trust.effects import STAMP_0_NS, Grid, Readings
-from common.trust.excitations import steps
+from common.trust.excitations import CurrentLoop, constant, steps
 from common.trust.faults import FAULTS
 from common.trust.judge import figures, scenario_of
 from common.trust.motors import gear_motor
@@ -22,8 +22,11 @@ from common.trust.plant import Motor, Plant
 from common.trust.real_logs import RealMotor
 from common.trust.records import make_record
 from common.trust.scenarios import half, scenarios
-from common.trust.trial import Trial, run_trial
+from common.trust.trial import Trial, Watch, run_trial, truth_at
 from scipy.integrate import solve_ivp
+
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.white_box.declaration import TERMS
 
 PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'trust.py'
 BY_NAME = {scenario.name: scenario for scenario in scenarios()}
@@ -244,3 +247,55 @@ def test_a_log_that_loses_samples_loses_them_of_every_signal() -> None:
     sizes = {log.voltage_v.size, log.current_a.size, log.speed_rad_s.size, log.torque_stamp_ns.size}
     assert len(sizes) == 1
     assert sizes.pop() < 200
+
+
+def test_what_stands_while_the_motor_changes_is_false_from_then_on() -> None:
+    scenario = replace(BY_NAME['a motor that changes: R by 30 %, speed measured'], duration_s=4.0)
+    record = make_record(scenario, 1)
+    watch = Watch(record)
+    first_ns = int(record.readings.torque_stamp_ns[0])
+    names = ('inductance', 'resistance')
+    value = np.array([[record.truth[name] for name in names]])
+    parameters = tuple(TERMS[name].parameter for name in names)
+    identified = ((Verdict.IDENTIFIED, Verdict.IDENTIFIED),)
+    covariance = 1e-12 * np.eye(2)[None]
+    watch.believe(Estimate(first_ns, parameters, value, covariance, identified), first_ns)
+    for stamp_ns in record.readings.torque_stamp_ns.tolist():
+        watch.believe(None, stamp_ns)
+    watch.close()
+    assert watch.longest_ns / 1e9 == pytest.approx(2.0, abs=0.01)
+    assert watch.right_share('inductance') == pytest.approx(1.0, abs=0.01)
+    assert watch.right_share('resistance') == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize('loop', [False, True])
+def test_a_motor_drifts_along_its_record_with_a_controller_too(loop: bool) -> None:
+    excitation = CurrentLoop(constant(0.5)) if loop else constant(3.0)
+    scenario = replace(
+        BY_NAME['a winding that heats: by 10 %, blocked'],
+        excitation=excitation,
+        duration_s=2.0,
+        noise=0.0,
+    )
+    record = make_record(scenario, 1)
+    log = record.readings
+    assert len(record.truths) == 400
+    cold, hot = (truth['resistance'] for truth in (record.truth, record.truths[-1]))
+    assert hot == pytest.approx(1.1 * cold, rel=1e-3)
+    for k in (500, 1900):
+        resistance = truth_at(record, int(log.torque_stamp_ns[k]))['resistance']
+        assert log.voltage_v[k] / log.current_a[k] == pytest.approx(resistance, rel=2e-3)
+    shaped = replace(scenario, sensor=(effects.averaging(0.4),))
+    if loop:
+        with pytest.raises(ValueError, match='a controller reads'):
+            make_record(shaped, 1)
+
+
+def test_what_a_winding_that_heats_loses_is_a_figure() -> None:
+    trials = [
+        Trial('a winding that heats: by 10 %, blocked', seed, right_shares={'resistance': share})
+        for seed, share in ((1, 0.9), (2, 0.1))
+    ]
+    (figure,) = (one for one in figures(trials, {}) if one.name.startswith('winding'))
+    assert figure.value == pytest.approx(50.0)
+    assert figure.goal == (60.0, 100.0)

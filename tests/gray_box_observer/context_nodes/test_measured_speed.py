@@ -259,6 +259,25 @@ def test_the_present_motor_begins_where_its_speed_was_doubted_whatever_window_is
     assert again.replay.begin_of(0) == update.replay.begin_of(0) == max(begins)
 
 
+@pytest.mark.slow
+def test_a_motor_that_has_changed_is_not_believed_while_another_explanation_is_searched() -> None:
+    """The search takes a second of samples, and what it began with stands meanwhile."""
+    samples, update = readings('noisy', 6.0), rule()
+    for sample in samples[:3072]:
+        update.learn(sample)
+    assert update.is_noisy
+    assert update.estimate().verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+    other_motor = (sample._replace(voltage_v=1.2 * sample.voltage_v) for sample in samples[3072:])
+    count = next(k for k, sample in enumerate(other_motor) if update.learn(sample))
+    assert count < 1100, 'the next fit begins after 1024 samples'
+    plain, arrays = update.state()
+    assert 'fitting' in plain['measured_speed']['outputs'], 'it is under way'
+    again = rule()
+    again.restore(plain, arrays)
+    for one in (update, again):
+        assert one.estimate().verdicts[0] == (Verdict.CONVERGING, Verdict.CONVERGING)
+
+
 def test_of_an_exact_speed_nothing_is_left_to_be_done() -> None:
     update = learnt(readings('exact')[:1500])
     before = update.estimate()

@@ -27,7 +27,7 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
-from gray_box_observer.fit_test.least_squares import LEAST_SQUARES, doubts_by_stamps
+from gray_box_observer.fit_test.least_squares import LEAST_SQUARES, allowances_of_stamps
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.residual_analysis import analyse
@@ -128,9 +128,24 @@ def test_a_delay_that_moves_the_least_squares_contradicts_nothing() -> None:
     assert not known.contradicts(moved, {LEAST_SQUARES: 0.02})
     shift = np.array([-1.0, 0.1])
     shown, hidden = StampError(shift, Amount(0.05, 0.001)), StampError(shift, Amount(0.05, 0.02))
-    doubts = doubts_by_stamps(WHITE_BOX, (shown, hidden))
-    assert doubts[f'{LEAST_SQUARES}inductance'] == pytest.approx(0.05, rel=1e-3)
-    assert doubts[f'{LEAST_SQUARES}resistance'] == pytest.approx(0.005, rel=1e-3)
+    allowances = allowances_of_stamps(WHITE_BOX, (shown, hidden))
+    assert allowances[f'{LEAST_SQUARES}inductance'] == pytest.approx(0.05, rel=1e-3)
+    assert allowances[f'{LEAST_SQUARES}resistance'] == pytest.approx(0.005, rel=1e-3)
+
+
+def test_a_delay_that_shows_lets_the_least_squares_go_on_under_another_excitation() -> None:
+    """A twentieth of an interval moves R by 2 % under a sine, and not under steps."""
+    sine_v = 12.0 * np.sin(0.5 * np.arange(SAMPLES))
+    windows = []
+    for voltage_v in (steps(SAMPLES, 1), sine_v):
+        late_v = voltage_v - 0.05 * np.diff(voltage_v, prepend=0.0)
+        windows.append(Record(voltage_v, current_of(late_v) + noise(SAMPLES, 0.02, 11)).stretch)
+    before = analyse(WHITE_BOX, TRUTH, windows[0]).evidence
+    alone = analyse(WHITE_BOX, TRUTH, windows[1]).evidence
+    name = f'{LEAST_SQUARES}resistance'
+    assert before.contradicts({name: alone.amount(name)}, {})
+    after = analyse(WHITE_BOX, TRUTH, windows[1], earlier=before, new=SAMPLES // 8).evidence
+    assert after.amount(name).std < before.amount(name).std
 
 
 def test_evidence_of_a_rotor_is_of_stamps_and_noise() -> None:

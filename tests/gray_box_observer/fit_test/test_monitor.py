@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,10 @@ from linear_motor_records import (
 
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.fit_schedule import FitSchedule
+from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.observer.observer import Observer
 
@@ -327,3 +331,19 @@ def test_what_counts_as_identified_follows_the_settings_there_and_back() -> None
     observer.reconfigure(lenient)
     assert observer.motors['motor'].identified
     assert all(observer.parameters_identified('motor'))
+
+
+def test_what_the_rule_does_not_believe_no_wider_deviation_makes_believed() -> None:
+    nodes: Any = SimpleNamespace(
+        verdict_rules=VerdictSettings(), voltage_shares=lambda _: (np.zeros(2), np.zeros(2))
+    )
+    motor = _healthy().observed().motors['motor']
+    monitor = FitMonitor([motor.configuration], [motor.white_box])
+    plain = motor.state()[0]['fit']
+    monitor.restore({**plain, 'spread': (1e-8 * np.eye(2)).tolist()}, 0, 0)
+    believed = motor.estimate
+    assert believed.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+    unbelieved = replace(believed, verdicts=((Verdict.CONVERGING, Verdict.IDENTIFIED),))
+    judged = monitor.judged(nodes, unbelieved, np.array([0]))
+    assert judged.verdicts == unbelieved.verdicts
+    assert monitor.judged(nodes, believed, np.array([0])).verdicts == believed.verdicts

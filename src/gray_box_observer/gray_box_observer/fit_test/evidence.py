@@ -2,7 +2,8 @@
 
 An estimate rests on every sample, a test on the newest ones. What a test does not show may be large
 beside the deviation of such an estimate. So the amounts that the tests find are pooled, each by its
-variance (inverse-variance weighting), until the motor is found changed or a test contradicts them.
+variance (inverse-variance weighting), until the motor is found changed. Those of which a window can
+say that they are others begin anew (`least_squares.py`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Evidence:
 
     Attributes:
         amounts: of which something is known.
-        samples: how many they rest on.
+        samples: how many they rest on, at most: what begins anew rests on fewer.
     """
 
     amounts: Mapping[str, Amount] = field(default_factory=dict)
@@ -60,16 +61,17 @@ class Evidence:
         """Return it with some amounts in place of what was known of them."""
         return replace(self, amounts={**self.amounts, **_known(amounts)})
 
-    def contradicts(self, window: Mapping[str, Amount], more_stds: Mapping[str, float]) -> bool:
+    def contradicts(self, window: Mapping[str, Amount], allowances: Mapping[str, float]) -> bool:
         """Tell whether a window finds an amount that is clearly another.
 
         Args:
             window: those that are compared, by name.
-            more_stds: standard deviations that come on top of theirs, by name.
+            allowances: standard deviations that come on top of theirs, by name; 0 of others.
         """
         return any(
             abs(one.mean - self.amounts[name].mean)
-            > CONTRADICTION_STDS * math.hypot(one.std, self.amounts[name].std, more_stds[name])
+            > CONTRADICTION_STDS
+            * math.hypot(one.std, self.amounts[name].std, allowances.get(name, 0.0))
             for name, one in window.items()
             if name in self.amounts
         )

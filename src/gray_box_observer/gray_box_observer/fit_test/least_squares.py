@@ -48,17 +48,17 @@ def least_squares_of(
     }
 
 
-def doubts_by_stamps(white_box: WhiteBox, errors: Sequence[StampError]) -> dict[str, float]:
+def allowances_of_stamps(white_box: WhiteBox, errors: Sequence[StampError]) -> dict[str, float]:
     """Return by how much errors of the stamps move the least squares of a window, by name.
 
     Those of a window that is excited otherwise move by another amount, and it is the same motor.
     Only errors that show count.
     """
     sizes = [error.amount.mean * error.shift for error in errors if error.is_shown]
-    doubts = np.sqrt(np.sum(np.square([np.zeros(len(white_box.parameters)), *sizes]), axis=0))
+    sums = np.sqrt(np.sum(np.square([np.zeros(len(white_box.parameters)), *sizes]), axis=0))
     return {
-        f'{LEAST_SQUARES}{parameter.name}': float(doubt)
-        for parameter, doubt in zip(white_box.parameters, doubts, strict=True)
+        f'{LEAST_SQUARES}{parameter.name}': float(allowance)
+        for parameter, allowance in zip(white_box.parameters, sums, strict=True)
     }
 
 
@@ -72,7 +72,7 @@ def pooled_evidence(
     earlier: Evidence,
     window: Mapping[str, Amount],
     least_squares: Mapping[str, Amount],
-    doubts: Mapping[str, float],
+    allowances: Mapping[str, float],
     samples: int,
     new: int,
 ) -> Evidence:
@@ -84,11 +84,11 @@ def pooled_evidence(
         earlier: what the windows before have told.
         window: what the newest one tells of all else, by name.
         least_squares: where it has its least squares, by name.
-        doubts: by how much these may differ though the motor is the same, by name.
+        allowances: by how much these may differ though the motor is the same, by name.
         samples: of the window.
         new: how many of these came after the window before.
     """
-    if earlier.contradicts(least_squares, doubts):
+    if earlier.contradicts(least_squares, allowances):
         earlier = earlier.without(least_squares)
     return earlier.with_window({**window, **least_squares}, samples, new)
 

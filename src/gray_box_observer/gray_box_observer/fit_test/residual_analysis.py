@@ -29,7 +29,7 @@ from gray_box_observer.fit_test.input_noise import (
 )
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.least_squares import (
-    doubts_by_stamps,
+    allowances_of_stamps,
     least_squares_of,
     pooled_evidence,
     shown_steps,
@@ -239,8 +239,8 @@ def analyse(
         steady_ones = steady_least_squares(least_squares)
         earlier = earlier.without([name for name in least_squares if name not in steady_ones])
         least_squares = steady_ones
-    doubts = doubts_by_stamps(white_box, (delay, lead))
-    evidence = pooled_evidence(earlier, window, least_squares, doubts, count, new_count)
+    allowances = allowances_of_stamps(white_box, (delay, lead))
+    evidence = pooled_evidence(earlier, window, least_squares, allowances, count, new_count)
     rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
