@@ -22,11 +22,13 @@ from linear_motor_records import (
     noise,
     steps,
 )
+from scipy.signal import lfilter
 
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.effects import LATE
 from gray_box_observer.fit_test.fit_schedule import FitSchedule
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.policy import Judgement
@@ -34,6 +36,8 @@ from gray_box_observer.observer.observer import Observer
 
 SAMPLES = 3000
 STD_A = 0.05
+LAG = 0.8
+"""Memory from sample to sample of a sensor that lags."""
 
 
 def _healthy(seed: int = 1, samples: int = SAMPLES) -> Record:
@@ -347,3 +351,16 @@ def test_what_the_rule_does_not_believe_no_wider_deviation_makes_believed() -> N
     judged = monitor.judged(nodes, unbelieved, np.array([0]))
     assert judged.verdicts == unbelieved.verdicts
     assert monitor.judged(nodes, believed, np.array([0])).verdicts == believed.verdicts
+
+
+@pytest.mark.slow
+def test_who_has_the_delay_estimated_is_not_told_to_have_it_estimated() -> None:
+    voltage_v = steps(SAMPLES, 3)
+    lagging_a = lfilter([1.0 - LAG], [1.0, -LAG], current_of(voltage_v))
+    record = Record(voltage_v, np.asarray(lagging_a) + noise(SAMPLES, STD_A, 4))
+    for delay, advises in ((0.0, True), ('estimate', False)):
+        fit = record.observed(delay=delay).motors['motor'].fit
+        assert fit.verdict is FitVerdict.MISFIT
+        remedies = [one.remedy for one in fit.suspects if one.effect in LATE]
+        assert remedies
+        assert any('estimate)' in remedy or ': estimate' in remedy for remedy in remedies) is advises

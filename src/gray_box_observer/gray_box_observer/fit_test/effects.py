@@ -268,6 +268,12 @@ ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
 )
 """The same for a rotor whose speed nobody measures: its delay cannot be estimated."""
 
+ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
+    LATE,
+    'take the filter off the current: {motor}.delay is estimated, and no delay explains what is left',
+)
+"""The same where the delay is estimated."""
+
 LOADED_REMEDIES: dict[str, str] = {LOAD: _VARYING_LOAD}
 """The same where the constant part of the load is a context node, or known."""
 

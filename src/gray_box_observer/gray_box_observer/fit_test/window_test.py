@@ -24,6 +24,7 @@ from gray_box_observer.fit_test.effects import (
     CHANGE,
     COLOURED_NOISE,
     EFFECTS,
+    ESTIMATED_REMEDIES,
     LOAD,
     LOADED_REMEDIES,
     REMEDIES,
@@ -416,9 +417,14 @@ class WindowTest:
         if self.white_box.has_rotor and effect == 'current_offset':
             return self._of_load(explanation.evidence)
         suspect = explanation.suspect(name, float(self.white_box.torque_constant))
-        if self.white_box.has_rotor and effect in ROTOR_REMEDIES:
-            return replace(suspect, remedy=ROTOR_REMEDIES[effect].format(motor=name))
-        return suspect
+        remedies: Mapping[str, str] = {}
+        if self.white_box.has_rotor:
+            remedies = ROTOR_REMEDIES
+        elif self.configuration.estimates_delay:
+            remedies = ESTIMATED_REMEDIES
+        if effect not in remedies:
+            return suspect
+        return replace(suspect, remedy=remedies[effect].format(motor=name))
 
     def _of_colour(self, analysis: ResidualAnalysis) -> Suspect:
         """Name what leaves a residual of one colour: a load on the shaft lasts as a speed does."""
