@@ -270,7 +270,7 @@ ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
 
 ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
     LATE,
-    'take the filter off the current: {motor}.delay is estimated, and no delay explains what is left',
+    'take the filter off the current: {motor}.delay is estimated, and explains only a part',
 )
 """The same where the delay is estimated."""
 
