@@ -124,6 +124,11 @@ class OutputUpdate(RotorUpdate):
         """Fit of the newest window; None before the first one, and where none was found."""
         return self._learner.output_fit
 
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether what explained the motor before does not explain the samples being fitted."""
+        return self._learner.is_in_doubt
+
     def remember(self, sample: Sample) -> None:
         """Take one sample; without its speed the speed before holds on."""
         if math.isfinite(sample.speed_rad_s[0]):

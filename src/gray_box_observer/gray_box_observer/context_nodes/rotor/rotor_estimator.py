@@ -24,7 +24,6 @@ from gray_box_observer.context_nodes.estimate import (
     VerdictSettings,
     bounded,
     spread_of_values,
-    unsettled,
 )
 from gray_box_observer.context_nodes.pieces import (
     FINISHED,
@@ -161,25 +160,17 @@ class RotorUpdate:
         verdicts = self.verdict_rules.judge(
             parameters, theta, std, is_frozen=self._is_frozen, most=most
         )
-        if self.is_in_doubt:
-            verdicts = (tuple(map(unsettled, verdicts[0])),)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample and go on with a fit that is due; tell whether the estimate has changed.
+        """Take one sample and go on with the fit that is due; tell whether it has ended.
 
-        It has where the fit has ended, or finds that the newest samples are not explained.
+        Then the estimate has changed.
         """
-        was_in_doubt = self.is_in_doubt
         self.remember(sample)
         if self.is_due:
             self.begin_fit()
-        return bool(self.advance()) or self.is_in_doubt != was_in_doubt
-
-    @property
-    def is_in_doubt(self) -> bool:
-        """Whether what explained the motor before does not explain the samples being fitted."""
-        return self._learner.is_in_doubt
+        return bool(self.advance())
 
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
