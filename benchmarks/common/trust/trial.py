@@ -253,6 +253,8 @@ def observe(record: Record, watch: Watch, trial: Trial) -> offline_run.Outcome:
     observer.finish()
     trial.end_ms = (time.thread_time_ns() - begun_ns) / 1e6
     _note(results, outcome, watch)
+    if MOTOR in observer.motors:
+        watch.believe(observer.estimates().get(MOTOR), torque_ns)
     observer.close()
     trial.samples = len(costs_ns)
     first_ns, yardsticks_ns = costs_ns[:FIRST_SAMPLES], yardsticks_ns or [_yardstick_ns()]

@@ -181,6 +181,28 @@ def test_what_is_restored_goes_on_bit_for_bit(load: str) -> None:
         assert before.verdicts == after.verdicts
 
 
+@pytest.mark.slow
+def test_a_rotor_is_not_believed_while_another_explanation_of_its_motor_is_searched() -> None:
+    update = learnt(rule(), 'none', range(COUNT))
+    assert Verdict.IDENTIFIED in rotor_verdicts(update)
+    doubted_count = 0
+    for place in range(COUNT):
+        stamp_ns, _, torque, speed = readings()[place]
+        volt = 1.2 * readings()[max(place - 1, 0)][1]
+        stamp_ns += 1_000_000 * (COUNT + 1)
+        has_changed = update.learn(Sample.of_one_motor(stamp_ns, 1e-3, volt, torque, speed))
+        is_under_way = 'fitting' in update.state()[0]['measured_speed']['outputs']
+        if is_under_way and Verdict.IDENTIFIED not in rotor_verdicts(update):
+            doubted_count += 1
+            assert has_changed or doubted_count > 1, 'who publishes is told'
+    assert doubted_count > 100
+
+
+def rotor_verdicts(update: MeasuredSpeedUpdate) -> tuple[Verdict, ...]:
+    """Return what is said of the rotor's parameters, the voltage balance being believed."""
+    return update.with_mechanics(update.estimate(), is_believed=True).verdicts[0][ROTOR]
+
+
 def test_a_state_of_other_parameters_is_refused() -> None:
     saved = observed().motors['motor'].state()
     other = fed(Observer(configured('load_torque')), readings()[:1])

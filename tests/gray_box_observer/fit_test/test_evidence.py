@@ -125,7 +125,9 @@ def test_a_delay_that_moves_the_least_squares_contradicts_nothing() -> None:
     known = Evidence({LEAST_SQUARES: Amount(0.0, 0.001)}, 9000.0)
     moved = {LEAST_SQUARES: Amount(0.05, 0.001)}
     assert known.contradicts(moved, {LEAST_SQUARES: 0.0})
-    assert not known.contradicts(moved, {LEAST_SQUARES: 0.02})
+    apart = 4.0 * math.hypot(0.001, 0.001)
+    assert known.contradicts(moved, {LEAST_SQUARES: 0.049 - apart})
+    assert not known.contradicts(moved, {LEAST_SQUARES: 0.051 - apart})
     shift = np.array([-1.0, 0.1])
     shown, hidden = StampError(shift, Amount(0.05, 0.001)), StampError(shift, Amount(0.05, 0.02))
     allowances = allowances_of_stamps(WHITE_BOX, (shown, hidden))

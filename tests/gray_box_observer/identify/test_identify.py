@@ -93,7 +93,6 @@ def test_json_on_standard_output_is_the_promised_form(identify: Run, bag: Path) 
     )
 
 
-@pytest.mark.slow
 def test_long_work_says_how_far_it_is_where_no_terminal_shows_a_bar(
     identify: Run, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,6 +103,7 @@ def test_long_work_says_how_far_it_is_where_no_terminal_shows_a_bar(
     assert lines[-1] == 'identify: reading: 4000 of 4000 messages'
 
 
+@pytest.mark.slow
 def test_the_predictor_is_scored_unless_it_is_skipped(
     identify: Run, bag: Path, tmp_path: Path
 ) -> None:

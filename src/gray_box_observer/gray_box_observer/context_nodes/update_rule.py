@@ -51,7 +51,8 @@ class ContextUpdate(Protocol):
     def present_since(self, motor: int) -> int:
         """Return the place from which one motor is the present one: that of its last change.
 
-        Samples before it may be remembered no more; the place stays, also in a checkpoint.
+        Samples before it may be remembered no more; the place stays. A checkpoint that holds fewer
+        samples than the memory would may move it on to the first of them.
         """
 
     def is_drifting(self, motor: int) -> bool:

@@ -66,12 +66,12 @@ class Evidence:
 
         Args:
             window: those that are compared, by name.
-            allowances: standard deviations that come on top of theirs, by name; 0 of others.
+            allowances: by how much they may differ beside their deviations, by name; 0 of others.
         """
         return any(
             abs(one.mean - self.amounts[name].mean)
-            > CONTRADICTION_STDS
-            * math.hypot(one.std, self.amounts[name].std, allowances.get(name, 0.0))
+            > allowances.get(name, 0.0)
+            + CONTRADICTION_STDS * math.hypot(one.std, self.amounts[name].std)
             for name, one in window.items()
             if name in self.amounts
         )

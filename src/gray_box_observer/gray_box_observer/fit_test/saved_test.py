@@ -100,7 +100,7 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         flag(plain, 'has_fitted')
     if 'evidence' in plain:
         check_evidence(group(plain, 'evidence'))
-    if 'present_since' in plain:  # not in files of releases that kept no evidence
+    if 'present_since' in plain:  # releases before kept none
         whole(plain, 'present_since', -MOST, MOST_AHEAD)
     if 'delay_s' in plain:
         number(plain, 'delay_s', -LARGEST, LARGEST)

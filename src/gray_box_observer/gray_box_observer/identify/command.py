@@ -402,15 +402,16 @@ def _message_count(bags: Sequence[Path], limits: ReadLimits) -> int:
 def _lines_of_progress(
     bags: Sequence[Path], limits: ReadLimits, work: str
 ) -> Callable[[int], object]:
-    """Return what counts messages, and says every LINE_PERIOD_S how many there were."""
-    count, line_at_s = 0, time.monotonic() + LINE_PERIOD_S
+    """Return what counts messages, and says how many there were, LINE_PERIOD_S apart at least."""
+    count, total, line_at_s = 0, 0, time.monotonic() + LINE_PERIOD_S
 
     def update(more: int) -> None:
-        nonlocal count, line_at_s
+        nonlocal count, total, line_at_s
         count += more
         if time.monotonic() >= line_at_s:
             line_at_s = time.monotonic() + LINE_PERIOD_S
-            _tell(f'{work}: {count} of {_message_count(bags, limits)} messages')
+            total = total or _message_count(bags, limits)
+            _tell(f'{work}: {count} of {total} messages')
 
     return update
 

@@ -318,6 +318,8 @@ class MeasuredSpeedUpdate:
         covariance[:, self._nodes, self._nodes] = estimate.covariance
         covariance[:, rotor, rotor] = own.covariance
         verdicts = own.verdicts[0]
+        if self._is_unexplained:
+            verdicts = tuple(map(unsettled, verdicts))
         if not (is_believed and self._explained_count >= 0):
             verdicts = tuple(map(misfit, verdicts))
         return Estimate(
@@ -377,7 +379,7 @@ class MeasuredSpeedUpdate:
         if self._is_noisy or before[0]:
             has_changed = has_fitted or (self._is_noisy, self._is_unexplained) != before
         if self._mechanics is not None:
-            has_changed |= self._outputs.counters() != fits
+            has_changed |= self._outputs.counters() != fits or self._is_unexplained != before[1]
         self._change_flags = _CHANGED if has_changed else _UNCHANGED
         return has_changed
 

@@ -53,9 +53,12 @@ def sensitivity(
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         stretch = SampleWindow.newest(white_box, replay, len(replay))
         nominal = _fit(white_box, stretch, theta)
+        stretches = dict.fromkeys(perturbed_models, stretch)
+        if not reads_current:
+            other = perturbed_models['torque_constant']
+            stretches['torque_constant'] = SampleWindow.newest(other, replay, len(replay))
         ratios = {
-            name: _fit(other, stretch if reads_current else _reread(other, replay), theta) / nominal
-            - 1.0
+            name: _fit(other, stretches[name], theta) / nominal - 1.0
             for name, other in perturbed_models.items()
         }
     if not all(np.all(np.isfinite(ratio)) for ratio in ratios.values()):
@@ -65,11 +68,6 @@ def sensitivity(
         constant: {name: float(r) / CHANGE for name, r in zip(names, ratio[0], strict=True)}
         for constant, ratio in ratios.items()
     }
-
-
-def _reread(white_box: MotorWhiteBox, replay: ReplayBuffer) -> SampleWindow:
-    """Read the current from the torque by the torque constant of another motor."""
-    return SampleWindow.newest(white_box, replay, len(replay))
 
 
 def _fit(white_box: MotorWhiteBox, stretch: SampleWindow, theta: Array) -> Array:

@@ -68,7 +68,7 @@ class WindowLearner:
         has_rivals: whether other ends explain the samples as well.
         is_new_motor: whether the newest window is another motor's than the one before.
         is_in_doubt: whether what explained the motor so far does not explain the window under way,
-            and another explanation is searched.
+            and another explanation is searched; beside a measured speed nothing is believed then.
         counts: of what was met, by a name for diagnostics.
         speed_measured: whether windows hold a speed that is fitted too.
     """

@@ -221,6 +221,15 @@ def _sensitivity(motor: MotorView) -> dict[str, dict[str, float]] | None:
     )
 
 
+def _on_the_constant(motor: MotorView) -> str:
+    """Say what depends on Kt where a current is read."""
+    if motor.white_box.has_rotor or motor.configuration.mechanical_nodes:
+        return 'inertia, frictions and load scale with it, L and R do not'
+    if motor.white_box.speed_measured:
+        return 'no estimate depends on it'
+    return 'it scales the speed w = Kt i alone'
+
+
 def _alarm_notes(times_s: list[float]) -> list[str]:
     """Say when the alarm on the residual was raised."""
     if not times_s:
@@ -242,8 +251,7 @@ def notes(name: str, observer: Observer) -> list[str]:
     if other_constants:
         scaling = ''
     elif motor.configuration.reads_current:
-        by_speed = '' if white_box.speed_measured else ' but by the speed w = Kt i'
-        scaling = f'. The current is read, and no estimate depends on Kt{by_speed}'
+        scaling = f'. The current is read, so that {_on_the_constant(motor)}'
     sentences = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
     if 'back_emf_constant' not in values['context_nodes']:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
