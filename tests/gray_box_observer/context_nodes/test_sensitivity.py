@@ -13,15 +13,30 @@ from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
+Learnt = Callable[[int | None], RecursiveEstimator]
 
-def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_into_resistance(
+
+@pytest.fixture
+def learnt(
     thesis_box: MotorWhiteBox,
     record: Callable[..., Recording],
     samples_of: Callable[..., list[Sample]],
+) -> Learnt:
+    """Return what learns the thesis's motor from so many samples; None: from 20 s."""
+
+    def learn(count: int | None) -> RecursiveEstimator:
+        nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
+        for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0))[:count]:
+            nodes.learn(sample)
+        return nodes
+
+    return learn
+
+
+def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_into_resistance(
+    thesis_box: MotorWhiteBox, learnt: Learnt
 ) -> None:
-    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
-    for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0)):
-        nodes.learn(sample)
+    nodes = learnt(None)
     found = sensitivity(thesis_box, nodes.replay, nodes.theta)
     assert found is not None
     # i = T/Kt falls by 1 %: L and R rise by 1 %, and K_HS |w| i with w = Kt i = T by 1 % as well
@@ -33,13 +48,9 @@ def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_i
 
 
 def test_a_current_that_was_read_leaves_of_the_torque_constant_the_speed_alone(
-    thesis_box: MotorWhiteBox,
-    record: Callable[..., Recording],
-    samples_of: Callable[..., list[Sample]],
+    thesis_box: MotorWhiteBox, learnt: Learnt
 ) -> None:
-    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
-    for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0)):
-        nodes.learn(sample)
+    nodes = learnt(None)
     found = sensitivity(thesis_box, nodes.replay, nodes.theta, reads_current=True)
     assert found is not None
     by_constant = found['torque_constant']
@@ -49,12 +60,6 @@ def test_a_current_that_was_read_leaves_of_the_torque_constant_the_speed_alone(
     assert by_constant['inductance'] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_too_few_samples_tell_nothing(
-    thesis_box: MotorWhiteBox,
-    record: Callable[..., Recording],
-    samples_of: Callable[..., list[Sample]],
-) -> None:
-    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
-    for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0))[:90]:
-        nodes.learn(sample)
+def test_too_few_samples_tell_nothing(thesis_box: MotorWhiteBox, learnt: Learnt) -> None:
+    nodes = learnt(90)
     assert sensitivity(thesis_box, nodes.replay, nodes.theta) is None
