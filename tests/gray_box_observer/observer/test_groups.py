@@ -38,7 +38,8 @@ def recording() -> Recording:
 @pytest.fixture(scope='module')
 def said(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Voltage and torque of every motor as sensors say; infinite: absent from the message."""
-    random, told = np.random.default_rng(2), {}
+    random = np.random.default_rng(2)
+    told = {}
     for m, name in enumerate(NAMES):
         told[name] = recording.voltage_v[m].copy(), recording.torque_nm[m].copy()
     told[BROKEN_SENSOR][1][random.choice(np.arange(50, 2000), 300, replace=False)] = np.nan
@@ -110,7 +111,8 @@ def test_motors_in_one_message_are_what_each_would_be_alone(
         # of its time constants
         waits = np.abs(torques[0] - torques[1]) > 1e-5 * np.abs(torques[1]) + 1e-9
         assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
-        kept, own = whole.counts(name), single.counts(name)
+        kept = whole.counts(name)
+        own = single.counts(name)
         assert (kept.used_count, kept.received_torque, kept.received_voltage) == (
             own.used_count, own.received_torque, own.received_voltage,
         )  # fmt: skip
@@ -142,7 +144,8 @@ def test_motors_of_different_kinds_are_not_computed_together(
 def test_motors_whose_torque_comes_in_several_messages_are_parted(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
-    one, halves = observer(group_from=2), ((CALM, CHANGED), (GONE, STIFF, PLAIN))
+    one = observer(group_from=2)
+    halves = ((CALM, CHANGED), (GONE, STIFF, PLAIN))
     used = halves[0] + halves[1]
     for k in range(100):
         one.ingest('voltage', used, k * PERIOD_NS, np.array([said[name][0][k] for name in used]))
@@ -155,6 +158,17 @@ def test_motors_whose_torque_comes_in_several_messages_are_parted(
         99
     }  # the last one waits for its voltage
     assert sum(one.counts(name).rejected.total() for name in (CALM, STIFF, PLAIN)) == 0
+
+
+def test_a_torque_that_was_given_up_waits_no_more_when_its_motors_are_parted() -> None:
+    one = observer(group_from=2)
+    one.ingest('torque', NAMES, 0, np.full(MOTORS, 0.1))
+    one.flush()  # no voltage has come
+    one.ingest('voltage', NAMES[:2], PERIOD_NS, np.full(2, 9.0))
+    for name in NAMES:
+        counts = one.counts(name)
+        assert (counts.waiting_count, counts.received_torque) == (0, 1), name
+        assert counts.rejected == {Rejection.NO_VOLTAGE: 1}, name
 
 
 def test_motors_with_speed_are_parted_from_those_without(
@@ -174,7 +188,8 @@ def test_motors_with_speed_are_parted_from_those_without(
 def test_a_group_is_forecast_as_it_is_predicted(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
-    one, compared = observer(), 0
+    one = observer()
+    compared = 0
     for k in range(600, 800):
         one.ingest('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
         (group,) = one.groups(NAMES)
@@ -259,7 +274,8 @@ def test_freezing_and_new_settings_reach_a_group(
 
 
 def test_parting_a_group_forgets_no_message() -> None:
-    one, names = observer(group_from=2), (CALM, CHANGED, GONE, STIFF)
+    one = observer(group_from=2)
+    names = (CALM, CHANGED, GONE, STIFF)
     ones = np.ones(4)
     for k in range(3):
         one.ingest('voltage', names, k * PERIOD_NS, ones)
@@ -274,7 +290,8 @@ def test_parting_a_group_forgets_no_message() -> None:
     one.ingest('voltage', (CALM, CHANGED, GONE), 4 * PERIOD_NS, ones[:3])
     assert [group.names for group in one.groups(names)] == [names[:3], (STIFF,)]
     for name, counts in before.items():
-        after, more = one.counts(name), 0 if name == STIFF else 1
+        after = one.counts(name)
+        more = 0 if name == STIFF else 1
         assert after.received_voltage == counts.received_voltage + more == 5 + more
         assert after.received_torque == counts.received_torque == 1
         assert after.refusal_counts == counts.refusal_counts
@@ -285,7 +302,8 @@ def test_parting_a_group_forgets_no_message() -> None:
 def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint(
     said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
 ) -> None:
-    names, (one, other) = (CALM, STIFF), (observer(group_from=2) for _ in range(2))
+    names = (CALM, STIFF)
+    (one, other) = (observer(group_from=2) for _ in range(2))
     for name in names:
         feed(one, said, (name,), 600, 700)
     checkpoint.save(one, tmp_path / 'alone')
@@ -317,7 +335,8 @@ def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
 def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_went_away(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
-    one, names = observer(group_from=2), (CALM, CHANGED, GONE, STIFF)
+    one = observer(group_from=2)
+    names = (CALM, CHANGED, GONE, STIFF)
     feed(one, said, names, 600, 700)
     one.freeze(True)
     feed(one, said, names, 700, 710)
@@ -333,7 +352,8 @@ def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_wen
 
 
 def test_a_list_of_very_many_names_is_used_but_not_kept() -> None:
-    one, names = observer(), (CALM,) + ('stranger',) * 30_000
+    one = observer()
+    names = (CALM,) + ('stranger',) * 30_000
     owners = sys.getrefcount(names)
     for stamp_ns in (0, PERIOD_NS):
         for signal in ('voltage', 'torque'):

@@ -137,7 +137,8 @@ class Pairing:
 
     def _learn_habits(self) -> None:
         """Know nothing of how regularly the signals come."""
-        self._voltages, self._torque_rhythm = HeldVoltage(self._joining.blank), Rhythm()
+        self._voltages = HeldVoltage(self._joining.blank)
+        self._torque_rhythm = Rhythm()
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
@@ -194,7 +195,8 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts, waiting_before = self.counts_for(0), self.waiting_count
+        counts = self.counts_for(0)
+        waiting_before = self.waiting_count
         self._set_delay(delay_s)
         self._learn_habits()
         self._restart()
@@ -229,6 +231,8 @@ class Pairing:
                 np.asarray(value)[index] if np.ndim(value) else value for value in values
             ]
             pairing.ingest_signal[signal](stamp_ns, *own_values)
+        still_waiting = {stamp_ns for stamp_ns, _, _ in self._torques}  # others were refused
+        pairing._torques = deque(one for one in pairing._torques if one[0] in still_waiting)
         pairing.count_as([self.counts_for(motor) for motor in motors])
         return pairing
 
@@ -237,11 +241,9 @@ class Pairing:
         self.received_torque = max(of.received_torque for of in counts)
         self.received_voltage = max(of.received_voltage for of in counts)
         self.taken_voltage = max(of.taken_voltage for of in counts)
-        self.used_count, self.restarts, self.held_count = (
-            max(of.used_count for of in counts),
-            counts[0].restarts,
-            counts[0].held_count,
-        )
+        self.used_count = max(of.used_count for of in counts)
+        self.restarts = counts[0].restarts
+        self.held_count = counts[0].held_count
         self._joining.count_as(counts)
 
     def repeats(self, sample: Sample) -> bool:
@@ -316,7 +318,8 @@ class Pairing:
 
     def _known_ns(self) -> int | None:
         """Up to where every signal that belongs to torque is known; None: nowhere."""
-        known_ns, speed_ns = self._voltages.newest_ns, self._speeds.newest_ns
+        known_ns = self._voltages.newest_ns
+        speed_ns = self._speeds.newest_ns
         if known_ns is None or not self._own_speed:
             return known_ns
         return None if speed_ns is None else min(known_ns, speed_ns)
@@ -342,7 +345,8 @@ class Pairing:
         None where torque before that stamp still waits, where the voltage is not known up to it
         (with a negative delay it comes too late), or where no signal history leads there.
         """
-        start_ns, known_ns = self._previous_ns, self._voltages.newest_ns
+        start_ns = self._previous_ns
+        known_ns = self._voltages.newest_ns
         if (
             start_ns is None
             or known_ns is None
@@ -362,14 +366,10 @@ class Pairing:
 
     def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
-        missed_counts, lost_count = (
-            self._joining.missed_counts(motor),
-            self._joining.lost_count(motor),
-        )
-        received_voltage, refusal_counts = (
-            self.received_voltage - missed_counts['voltage'],
-            self._joining.refusal_counts(motor),
-        )
+        missed_counts = self._joining.missed_counts(motor)
+        lost_count = self._joining.lost_count(motor)
+        received_voltage = self.received_voltage - missed_counts['voltage']
+        refusal_counts = self._joining.refusal_counts(motor)
         return PairingCounts(
             refusal_counts=refusal_counts,
             received_torque=self.received_torque - missed_counts['torque'],
@@ -425,11 +425,15 @@ class Pairing:
             torque_nm = self._joining.with_speed(torque_nm, speed_rad_s)
             if torque_nm is None:
                 return None
-        start_ns, known_ns, passed_ns, mean_v = self._previous_ns, None, None, self._joining.blank
+        start_ns = self._previous_ns
+        known_ns = None
+        passed_ns = None
+        mean_v = self._joining.blank
         if start_ns is not None:
             known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
-                passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
+                passed_ns = stamp_ns - start_ns
+                mean_v = self._voltages.mean(start_ns, stamp_ns)
         first_v = self._voltages.step_to(
             stamp_ns, is_lost=known_ns is not None and known_ns >= stamp_ns
         )
