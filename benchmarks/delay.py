@@ -93,7 +93,8 @@ def rows(
             for noise in NOISES
             for _ in range(max(1, seeds // 4))
         ]
-        found, errors = [], []
+        found = []
+        errors = []
         for k in range(seeds):
             for j, noise in enumerate(NOISES):
                 delay_s = INTERVAL_S * DELAYS_IN_INTERVALS[(j + k) % len(DELAYS_IN_INTERVALS)]
@@ -125,8 +126,10 @@ def main() -> int:
     flags = suspicions = delays = hits = alarms = 0
     errors: list[float] = []
     for excitation, none, found, normalised, changed in rows(hours, seconds, seeds):
-        flagged, suspected = sum(c.flagged for c in none), sum(c.suspected for c in none)
-        hit, rms = sum(c.flagged for c in found), math.sqrt(float(np.mean(np.square(normalised))))
+        flagged = sum(c.flagged for c in none)
+        suspected = sum(c.suspected for c in none)
+        hit = sum(c.flagged for c in found)
+        rms = math.sqrt(float(np.mean(np.square(normalised))))
         print(
             f'{excitation:<24}{hours * len(none):>14.2f}{flagged:>7}{suspected:>11}'
             f'{len(found):>8}{hit:>7}{rms:>15.2f}',
@@ -141,7 +144,8 @@ def main() -> int:
         )
         errors += normalised
         alarms += changed
-    share, rms = hits / delays, math.sqrt(float(np.mean(np.square(errors))))
+    share = hits / delays
+    rms = math.sqrt(float(np.mean(np.square(errors))))
     figures = [
         {'name': 'hours without delay', 'value': total_hours, 'goal': None, 'met': None},
         {

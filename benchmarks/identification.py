@@ -185,7 +185,8 @@ def _work(plan: Plan) -> list[Work]:
         if case.core and own in plan.methods:
             extra = range(plan.seeds, plan.own_seeds)
             for either_way in (False, True):
-                starts, against = (either_way,), (own, *plan.rivals)
+                starts = (either_way,)
+                against = (own, *plan.rivals)
                 pieces += [
                     Work(case, seed, against, (0.01,), starts, plan.part, plan.marks)
                     for seed in extra
@@ -203,7 +204,8 @@ def _run(pool: ProcessPoolExecutor, plan: Plan, options: argparse.Namespace) -> 
     outcomes = _progress('recordings', [pool.submit(carry_out, work) for work in _work(plan)])
     # One at a time, so that nothing else of this run competes for the machine.
     times = pool.submit(timing, plan.methods, plan.part).result()
-    alarms, held = None, None
+    alarms = None
+    held = None
     own = report.own_rule(plan.methods)
     if options.long and own:
         hours = [pool.submit(false_alarms_in_an_hour, case, own, 0) for case in CASES if case.core]

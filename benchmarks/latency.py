@@ -85,7 +85,8 @@ def measure(
     own_domain()
     start = partial(running, realtime=realtime)
     with tempfile.TemporaryDirectory() as folder:
-        sent, heard = Path(folder) / 'sent.npz', Path(folder) / 'heard.npz'
+        sent = Path(folder) / 'sent.npz'
+        heard = Path(folder) / 'heard.npz'
         in_namespace = [['--ros-args', '-r', f'__ns:=/{device}'] for device in DEVICES]
         in_namespace[1] += ['-p', f'recursive.block:={block}']
         with (
@@ -241,7 +242,8 @@ def main() -> int:
         help='all at real-time priority, so that other programs count less',
     )
     options = parser.parse_args()
-    figures, rows = [], []
+    figures = []
+    rows = []
     for rate_hz, (turn_s, turns) in plan(options).items():
         print(f'{rate_hz:g} Hz: {2 * turns * turn_s:.0f} s', file=sys.stderr, flush=True)
         measured = measure(

@@ -75,7 +75,8 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=100.0, help='samples a second')
     parser.add_argument('--motors', type=int, default=1, help='motors in every message')
     options = parser.parse_args()
-    duration_s, count = options.duration or (20.0 if options.quick else 60.0), options.motors
+    duration_s = options.duration or (20.0 if options.quick else 60.0)
+    count = options.motors
     own_domain()
     rclpy.init()
     watch = Watch(count)

@@ -119,7 +119,8 @@ def main() -> int:
     seeds = options.seeds or (2 if options.quick else 6)
     duration_s = 10.0 if options.quick else 60.0
     bar = Progress(3 * seeds + len(SETS) * (3 * seeds + 2) + 1)
-    own, truth = [THESIS_MOTOR], theta_of([THESIS_MOTOR])
+    own = [THESIS_MOTOR]
+    truth = theta_of([THESIS_MOTOR])
 
     estimates = {}
     for noise in (0.0, 0.01):

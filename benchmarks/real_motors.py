@@ -35,7 +35,8 @@ SERVO_PERIOD_S = 49.75e-6
 SERVO_TIME_CONSTANT_S = (140e-6, 171e-6)
 ROBOT_RESISTANCE_OHM = (3.9, 4.5)
 DEAD_CURRENT_SENSOR = ('18', 'right')
-WHEEL_RADIUS_M, GEAR = 0.03, 9.68
+WHEEL_RADIUS_M = 0.03
+GEAR = 9.68
 ROBOT_TORQUE_CONSTANT = 0.007
 STEP_TORQUE_CONSTANT = 0.045
 STEP_LOGS = {'100PWM152HZ.csv': 1.0, '100PWM38HZ.csv': 1.0, 'LAB_2_step6VPSU-1.csv': 0.5}
@@ -115,7 +116,8 @@ def onset_s(log: Path) -> tuple[float, float]:
     """
     time_s, volt, current, _ = np.loadtxt(log, delimiter=',', skiprows=1).T
     step = int(np.argmax(np.abs(np.diff(volt)))) + 1
-    level, noise = float(np.mean(current[:step])), float(np.std(current[:step]))
+    level = float(np.mean(current[:step]))
+    noise = float(np.std(current[:step]))
     first = step + int(np.argmax(np.abs(current[step:] - level) > 10.0 * noise))
     slope = (current[first + 1] - current[first]) / (time_s[first + 1] - time_s[first])
     onset = float(time_s[first] - (current[first] - level) / slope - time_s[step])
@@ -124,7 +126,8 @@ def onset_s(log: Path) -> tuple[float, float]:
 
 
 def _robot(log: Path) -> Case:
-    columns, parameters = ['time=$1'], {'motors': ['left', 'right']}
+    columns = ['time=$1']
+    parameters = {'motors': ['left', 'right']}
     for side, (volt, ampere, metre_per_second) in {'left': (5, 7, 9), 'right': (6, 8, 10)}.items():
         columns += [
             f'{side}.voltage=${volt}',
@@ -207,11 +210,9 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
     name = case.name if motor == 'motor' else f'{case.name} {motor}'
     for j, parameter in enumerate(estimate.parameters):
         known = KNOWN['servo' if case.name == SERVO else 'robot'][parameter.name]
-        value, std, verdict = (
-            estimate.value[0, j],
-            estimate.std[0, j],
-            estimate.verdicts[0][j].value,
-        )
+        value = estimate.value[0, j]
+        std = estimate.std[0, j]
+        verdict = estimate.verdicts[0][j].value
         yield f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}'
     if case.name == SERVO:
         time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])

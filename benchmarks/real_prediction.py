@@ -51,7 +51,9 @@ from gray_box_observer.errors import GrayBoxError
 PREDICTORS = ('white box', 'no residual', 'residual', 'LSTM 10', 'LSTM 20', 'persistence')
 RIVALS = ('white box', 'LSTM 10', 'LSTM 20')
 SERVO_SCORED_S, SERVO_ROWS = 140 * 49.75e-6, 140
-STEP_SCORED_S, RAMP_SPLIT_S, RATE_HZ = 1.9, 10.0, 1000.0
+STEP_SCORED_S = 1.9
+RAMP_SPLIT_S = 10.0
+RATE_HZ = 1000.0
 ROUNDS = 18
 """Of the residual's training; a plain LSTM gets as many steps at each of its three learning rates.
 """
@@ -224,7 +226,8 @@ def main() -> int:
         '--only', default='', metavar='WORD', help='groups with this word in their name'
     )
     options = parser.parse_args()
-    data, seeds = options.data or DEFAULT_DATA, options.seeds or (1 if options.quick else 2)
+    data = options.data or DEFAULT_DATA
+    seeds = options.seeds or (1 if options.quick else 2)
     chosen = [(group, task) for group, task in tasks(data, options.quick) if options.only in group]
     todo = [(group, task, seed) for group, task in chosen for seed in range(1, seeds + 1)]
     if not todo:

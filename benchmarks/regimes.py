@@ -23,7 +23,8 @@ from dc_motor_sim.simulation import Simulation
 from gray_box_observer.predictor import Forecasting, InlineTraining, Predictor, TrainingSettings
 from gray_box_observer.samples import Sample
 
-HOME, AWAY = 'R[5,15]D[1,20]', 'R[1,2]D[3,3]'
+HOME = 'R[5,15]D[1,20]'
+AWAY = 'R[1,2]D[3,3]'
 
 RATE_HZ = 5.0
 """One to two samples a time constant: the newest samples that are remembered tell of the last
@@ -40,7 +41,8 @@ JUDGED_S = 60.0
 the others."""
 
 
-NO_WORSE, STILL_KNOWN = 1.01, 0.7
+NO_WORSE = 1.01
+STILL_KNOWN = 0.7
 """Largest error after coming back, over that of the white box: with perfect physics, and with
 something it lacks."""
 
@@ -104,7 +106,8 @@ def journey(motor: Motor, seed: int, home_s: float, away_s: float) -> list[list[
 
 def run(motor: Motor, parts: list[list[Sample]], seed: int, rules: TrainingSettings) -> Outcome:
     """Predict and learn all the way; return the errors."""
-    box, theta = white_box([motor.plant]), theta_of([motor.plant])
+    box = white_box([motor.plant])
+    theta = theta_of([motor.plant])
     configuration = {
         'white_box': box.to_dict(),
         'rules': rules.to_dict(),
@@ -152,7 +155,8 @@ def main() -> int:
     # hundred
     kept = TrainingSettings(period=500, replay_capacity=1100 if options.quick else 6000)
     bar = tqdm(total=2 * seeds * len(motors), unit='run', disable=None)
-    rows, figures = [], []
+    rows = []
+    figures = []
     for motor in motors:
         journeys = [(seed, journey(motor, seed, home_s, away_s)) for seed in range(1, seeds + 1)]
         for name, rules in (('kept', kept), ('not kept', replace(kept, segments=0))):

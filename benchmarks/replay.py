@@ -88,7 +88,8 @@ def decode(bag: Path) -> None:
 
 def pair(bag: Path) -> None:
     """Read, decode, and make samples."""
-    decoder, pairing = JointStateDecoder(), Pairing()
+    decoder = JointStateDecoder()
+    pairing = Pairing()
     take = {'/motor/voltage': pairing.voltage, '/motor/torque': pairing.torque}
     with BagReader(bag) as reader:
         for message in reader.messages():
@@ -111,7 +112,8 @@ STAGES = (
 
 def stages(bag: Path, samples: float, repeats: int) -> str:
     """Lay out what each stage adds."""
-    rows, before = [], 0.0
+    rows = []
+    before = 0.0
     spent = [stage_s(lambda work=work: work(bag), repeats) for _, work in STAGES]
     for (name, _), total in zip(STAGES, spent, strict=True):
         added = total - before

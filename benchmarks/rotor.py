@@ -42,7 +42,8 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import GrayBoxError
 
 SEEDS, QUICK_SEEDS = 20, 3
-LONG_S, QUICK_S = 20.0, 4.0
+LONG_S = 20.0
+QUICK_S = 4.0
 ROBOT_OHM, ROBOT_REACH_OHM = 4.25, 0.3
 CONFIDENCE = 0.95
 WITHIN_STDS = 3.0
@@ -311,10 +312,13 @@ def robot_figures(data: Path) -> list[Figure]:
     present = [
         case for case in cases(data) if case.name.startswith('robot') and case.path.is_file()
     ]
-    rows, healthy, false = [], [], 0
+    rows = []
+    healthy = []
+    false = 0
     for case in present:
         for motor, estimate in identify(without_speed(case)).estimates().items():
-            resistance, std = float(estimate.value[0, 1]), float(estimate.std[0, 1])
+            resistance = float(estimate.value[0, 1])
+            std = float(estimate.std[0, 1])
             verdict = estimate.verdicts[0][1]
             rows.append([f'{case.name} {motor}', number(resistance), number(std), verdict.value])
             if (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:

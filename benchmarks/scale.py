@@ -61,7 +61,8 @@ and for all."""
 OUTLIERS = 0.01
 """Share of torques that are half too large, where it is asked what they cost."""
 
-PARAMETERS, BLOCK = 3, 32
+PARAMETERS = 3
+BLOCK = 32
 UNKNOWNS = PARAMETERS + 1
 
 BYTES = 3 * 8 * 3 + 2 * 8 * (2 * UNKNOWNS**2 + 4 * PARAMETERS * (PARAMETERS + 1) + 24) / BLOCK
@@ -160,7 +161,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         [] if device is None else rows_on_device(device, samples, quick=options.quick)
     )
     whole = not options.quick
-    thousand, cores = update_us[1000], 0.1 * both[1000]
+    thousand = update_us[1000]
+    cores = 0.1 * both[1000]
     figures = [
         Figure('update of one motor, times the EKF', update_us[1] / filter_us[1], 1.0, whole),
         Figure(
@@ -196,8 +198,10 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
     from dc_motor_sim.simulation import Simulation
 
     recording = Simulation({'m': PlantParameters()}, 'R[5,15]D[0.2,3]', seed=1).record(100.0)
-    nodes, noise = rule(1), np.random.default_rng(0).normal(0.0, NOISE_NM, recording.stamp_ns.size)
-    voltage, torque = recording.voltage_v[0], recording.torque_nm[0]
+    nodes = rule(1)
+    noise = np.random.default_rng(0).normal(0.0, NOISE_NM, recording.stamp_ns.size)
+    voltage = recording.voltage_v[0]
+    torque = recording.torque_nm[0]
     for k in range(TAUGHT):
         nodes.learn(sample(k, np.array([voltage[max(k - 1, 0)]]), np.array([torque[k] + noise[k]])))
     return nodes, [
@@ -210,7 +214,8 @@ def stream(
     outliers: float = 0.0
 ) -> list[Any]:  # fmt: skip
     """Samples of many motors, each with its own noise; some torques are half too large."""
-    random, made = np.random.default_rng([motors, begin]), []
+    random = np.random.default_rng([motors, begin])
+    made = []
     for k, (v, t) in enumerate(samples[begin : begin + count], start=begin):
         torque = t * np.where(random.random(motors) < outliers, 1.5, 1.0) + random.normal(
             0.0, NOISE_NM, motors
@@ -301,7 +306,8 @@ def filters_us(motors: int, count: int) -> float:
 def machine() -> tuple[float, float]:
     """Bandwidth of a large copy in B/s (read and write) and speed of a matrix product in flop/s."""
     source = np.ones(20_000_000)
-    target, matrix = np.zeros_like(source), np.random.default_rng(0).normal(size=(1200, 1200))
+    target = np.zeros_like(source)
+    matrix = np.random.default_rng(0).normal(size=(1200, 1200))
     copy_s = least(lambda: np.copyto(target, source))
     product_s = least(lambda: matrix @ matrix)
     return 2 * source.nbytes / copy_s, 2 * 1200**3 / product_s

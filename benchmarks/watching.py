@@ -76,7 +76,8 @@ class Counts(Node):
 def watching() -> Iterator[Watcher]:
     """Run ``watch`` in a terminal; yield it once it has shown an estimate."""
     ours, theirs = pty.openpty()
-    seen, started_s = threading.Event(), time.monotonic()
+    seen = threading.Event()
+    started_s = time.monotonic()
 
     def read() -> None:
         shown = b''
@@ -144,7 +145,8 @@ def _ended(process: subprocess.Popen) -> Iterator[None]:
 
 def _measured(process: subprocess.Popen, seen: threading.Event, started_s: float) -> Watcher:
     is_seen = seen.wait(PATIENCE_S)
-    now_s, running_process = time.monotonic(), psutil.Process(process.pid)
+    now_s = time.monotonic()
+    running_process = psutil.Process(process.pid)
     first_s = now_s - started_s if is_seen else float('nan')
     return Watcher(running_process, first_s, now_s, cpu_s([running_process]))
 
@@ -186,7 +188,8 @@ def run(
     ):
         observer = psutil.Process(started.pid)
         _spin_until(counts, lambda: any(counts.used.values()))
-        began_s, before_s = time.monotonic(), cpu_s([observer])
+        began_s = time.monotonic()
+        before_s = cpu_s([observer])
         watch = dashboard = None
         if is_watched:
             with watching() as table_of, page_open() as page:

@@ -177,7 +177,8 @@ def main() -> int:
     parser.add_argument('--robot-s', type=float, default=600.0, help='of each right robot')
     parser.add_argument('--processes', type=int, default=2)
     options = parser.parse_args()
-    count, hours = options.seeds, options.hours
+    count = options.seeds
+    hours = options.hours
     if count is None:
         count = 1 if options.quick else 3
     if hours is None:

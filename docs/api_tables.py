@@ -143,7 +143,8 @@ def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iter
         quantity = quantity_of(declared)
         bounds = range_text(quantity.low, quantity.high) if quantity.numeric else ''
         allowed = ', '.join(f'`{choice}`' for choice in quantity.choices) or bounds
-        kind, shown = ros_type(declared.default), value_text(declared.default)
+        kind = ros_type(declared.default)
+        shown = value_text(declared.default)
         yield [
             f'`{prefix}{name}`',
             kind,

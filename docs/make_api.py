@@ -148,10 +148,8 @@ def page() -> str:
     lines += ['## identify', '', 'Package `gray_box_observer`; needs no ROS.', '']
     lines += option_lines(command._parser())
     lines += fit_lines()
-    of_recorder, of_player = (
-        recorder_arguments.RECORDER_PARAMETERS,
-        player_arguments.PLAYER_PARAMETERS,
-    )
+    of_recorder = recorder_arguments.RECORDER_PARAMETERS
+    of_player = player_arguments.PLAYER_PARAMETERS
     lines += bag_lines('recorder', recorder_arguments, of_recorder, nodes['bag_recorder'], every)
     lines += bag_lines('player', player_arguments, of_player, nodes['bag_player'], every)
     lines += watcher_lines('watch', watch_command, 'gray_box_watch', '; over a bag it needs no ROS')
@@ -198,7 +196,8 @@ def bag_lines(
     name: str, arguments: ModuleType, specs: Sequence[ParameterSpec], seen: Seen, every: set[str]
 ) -> list[str]:
     """The section of a node that records or replays."""
-    parser, node = arguments.make_parser(), f'bag_{name}'
+    parser = arguments.make_parser()
+    node = f'bag_{name}'
     said = ' '.join((parser.description or '').split())
     lines = [
         f'## {name}',

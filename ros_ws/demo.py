@@ -233,7 +233,9 @@ def follow(children: Children, watch: Any, source: Source, page: Page | None) ->
 def settle(children: Children, watch: Any, source: Source) -> None:
     """Let the observer use what is on its way: until its reports count the same samples."""
     deadline_s = time.monotonic() + SETTLE_PATIENCE_S
-    reports, counted, repeats = watch.diagnostics_count, -1, 0
+    reports = watch.diagnostics_count
+    counted = -1
+    repeats = 0
     while time.monotonic() < deadline_s:
         children.require_alive('observer', 'recorder')
         watch.update(POLL_S)
@@ -242,7 +244,8 @@ def settle(children: Children, watch: Any, source: Source) -> None:
         account = watch.account()
         used, arrived = (0, 0) if account is None else (account.used, account.arrived)
         repeats = repeats + 1 if used == counted else 0
-        reports, counted = watch.diagnostics_count, used
+        reports = watch.diagnostics_count
+        counted = used
         are_some_missing = source.samples is not None and arrived < source.samples
         if repeats >= (REPEATS_WITH_MISSING if are_some_missing else 1):
             return

@@ -166,7 +166,8 @@ def prediction_scores(bag: Path) -> dict[str, dict[str, float | int | None]]:
             continue
         truth = np.array([measured[stamp] for stamp in stamps])
         error = float(np.mean(np.abs(truth - [predicted[motor][stamp] for stamp in stamps])))
-        spread, step = float(np.std(truth)), float(np.mean(np.abs(np.diff(truth))))
+        spread = float(np.std(truth))
+        step = float(np.mean(np.abs(np.diff(truth))))
         scores[motor]['nmae'] = error / spread if spread > 0.0 else None
         scores[motor]['skill_vs_persistence'] = 1.0 - error / step if step > 0.0 else None
     return scores
@@ -176,7 +177,9 @@ def scores_text(scores: Mapping[str, Mapping[str, float | int | None]]) -> str:
     """The scores for people: a line a motor."""
     lines = []
     for motor, score in scores.items():
-        since_s, nmae, skill = score['since_s'], score['nmae'], score['skill_vs_persistence']
+        since_s = score['since_s']
+        nmae = score['nmae']
+        skill = score['skill_vs_persistence']
         if since_s is None:
             lines.append(f'{motor}: not every parameter was identified')
         elif nmae is None:
@@ -199,7 +202,8 @@ def summary(motors: Mapping[str, Any]) -> str:
     for motor, parameters in motors.items():
         rows = []
         for name, entry in parameters.items():
-            unit, error = unit_of(name), entry.get('error_percent')
+            unit = unit_of(name)
+            error = entry.get('error_percent')
             cells = parameter_cells(name, entry['value'], entry['std'], unit)
             truth = '' if error is None else f'truth {entry["truth"]:g} {unit}, {error:+.3f} % off'
             rows.append([*cells, truth])

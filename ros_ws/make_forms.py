@@ -343,7 +343,8 @@ def _runge_kutta_step() -> list[str]:
     number = iter(range(2, 5))
 
     def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
-        name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in COMPILED)
+        name = f'r{next(number)}'
+        places = ', '.join(f'{{{state}}}' for state in COMPILED)
         call = (
             f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, '
             f'{{{len(COMPILED)}}});'
@@ -469,7 +470,8 @@ def whole_motor_form() -> str:
     number = iter(range(2, 5))
 
     def rate_at(at: Sequence[Written], speed: Written) -> flow.Linear:
-        name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in State)
+        name = f'r{next(number)}'
+        places = ', '.join(f'{{{state}}}' for state in State)
         call = (
             f'const Linear {name} = rate_of(p, torque_constant, (Real[]){{{{{places}}}}}, voltage);'
         )
@@ -539,8 +541,10 @@ def _fingerprint(body: str) -> int:
 
 def forms() -> dict[Path, str]:
     """Return what the files should hold."""
-    blocks, whole = c_forms(), whole_motor_form()
-    of_blocks, of_whole = _fingerprint(blocks), _fingerprint(whole)
+    blocks = c_forms()
+    whole = whole_motor_form()
+    of_blocks = _fingerprint(blocks)
+    of_whole = _fingerprint(whole)
     what = 'Forms of the motor for compiled code, LANES motors at a time'
     of_one = 'Forms of a motor with a rotor for compiled code, one motor at a time'
     return {

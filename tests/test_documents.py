@@ -80,7 +80,8 @@ def test_a_long_sentence_is_found_and_code_is_none():
 
 
 def test_every_page_can_be_reached_from_the_readme():
-    reached, waiting = set(), [ROOT / 'README.md']
+    reached = set()
+    waiting = [ROOT / 'README.md']
     while waiting:
         page = waiting.pop()
         if page in reached or page.suffix != '.md':

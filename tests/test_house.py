@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -38,6 +39,17 @@ EXCEPTIONS = {
 }
 """Participles that stay, by where."""
 
+PAIRS = (
+    'after before', 'begin end', 'big little', 'column row', 'columns rows',
+    'denominator numerator',
+    'earliest latest', 'end start', 'first last', 'high low', 'intercept slope', 'larger smaller',
+    'largest smallest', 'least most', 'left right', 'lower upper', 'maximum minimum',
+    'nanoseconds seconds', 'std value', 'stds values', 'x y',
+)  # fmt: skip
+"""Words that belong together in one assignment, in alphabetical order."""
+UNITS = frozenset(('a', 'count', 'is', 'nm', 'ns', 'of', 's', 'the', 'v'))
+"""Words of names that relate nothing."""
+
 
 def modules(package: str) -> dict[str, Path]:
     """Return the modules of a package by their dotted names."""
@@ -72,7 +84,8 @@ def circles(graph: dict[str, set[str]]) -> list[str]:
     """Return the nodes that can be reached from themselves."""
     found = []
     for start in graph:
-        seen, ahead = set(), list(graph[start])
+        seen = set()
+        ahead = list(graph[start])
         while ahead:
             node = ahead.pop()
             if node not in seen:
@@ -163,6 +176,62 @@ def test_no_binding_is_named_by_a_bare_participle() -> None:
         for word, line in participles(ast.parse(path.read_text(encoding='utf-8'))):
             if not place.startswith(EXCEPTIONS.get(word, '?')):
                 found.append(f'{place}:{line}: {word}')
+    assert found == []
+
+
+def _are_related(names: list[str]) -> bool:
+    """Tell whether names share a word or are a pair of the field; letters alone are algebra."""
+    words = [set(name.strip('_').lower().split('_')) - UNITS for name in names]
+    pairs = {' '.join(sorted(both)) for both in itertools.product(*words[:2])}
+    is_pair = len(names) == 2 and not pairs.isdisjoint(PAIRS)
+    return is_pair or bool(set.intersection(*words)) or all(len(n.strip('_')) == 1 for n in names)
+
+
+def packed_assignments(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """Yield the assignments ``a, b = x, y`` of values that have nothing to do with each other.
+
+    Values belong together where one is worked out from what another replaces, or where their names
+    say so.
+    """
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Assign) or not isinstance(node.value, ast.Tuple):
+            continue
+        target = node.targets[0]
+        if len(node.targets) > 1 or not isinstance(target, ast.Tuple):
+            continue
+        places = [ast.unparse(place) for place in target.elts]
+        parts = {ast.unparse(p) for p in ast.walk(node.value) if isinstance(p, ast.expr)}
+        if parts.isdisjoint(places) and not _are_related([p.split('.')[-1] for p in places]):
+            yield ast.unparse(node), node.lineno
+
+
+@pytest.mark.parametrize('line', ['speed, name = 1, 2', 'a.volt, row[0] = f(), {}', 'n, at = 0, 1'])
+def test_a_packed_assignment_is_seen(line: str) -> None:
+    assert len(list(packed_assignments(ast.parse(line)))) == 1
+
+
+@pytest.mark.parametrize(
+    'line',
+    [
+        'a, b = b, a + b',
+        'low, high = 1, 2',
+        'start_ns, end_ns = f(), g()',
+        'at, name = f()',
+        'u, v = 1, 2',
+    ],
+)
+def test_values_that_belong_together_are_no_packed_assignment(line: str) -> None:
+    assert list(packed_assignments(ast.parse(line))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('folder', ['src', 'tests', 'benchmarks'])
+def test_an_assignment_sets_one_value_unless_values_belong_together(folder: str) -> None:
+    found = [
+        f'{path.relative_to(ROOT)}:{line}: {text}'
+        for path in sorted((ROOT / folder).rglob('*.py'))
+        for text, line in packed_assignments(ast.parse(path.read_text(encoding='utf-8')))
+    ]
     assert found == []
 
 

@@ -125,7 +125,8 @@ def fields_of(type_name: str) -> dict[str, str]:
 def final_type(path: LayoutPath) -> str:
     """Type of the value at the end of a path, by the definitions of the messages."""
     kind = DECLARED[path.topic].type
-    fields, at = kind.get_fields_and_field_types(), kind.__name__
+    fields = kind.get_fields_and_field_types()
+    at = kind.__name__
     for step, value in path.steps:
         if step == 'field':
             assert value in fields, f'{path}: {at} has no {value}'

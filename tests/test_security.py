@@ -96,7 +96,8 @@ def profile_of(path: Path) -> ET.Element:
 def granted(path: Path) -> set[Right]:
     """The rights in a policy, with the full names that SROS2 makes of its short ones."""
     profile = profile_of(path)
-    namespace, node = profile.attrib['ns'].rstrip('/'), profile.attrib['node']
+    namespace = profile.attrib['ns'].rstrip('/')
+    node = profile.attrib['node']
     full = set()
     for group in profile:
         for expression in group:

@@ -55,7 +55,8 @@ class BlackBox:
         torque = np.concatenate(
             [y[~np.asarray(j, bool)] for y, j in zip(torque_nm, judging, strict=True)]
         )
-        self._mean, self._size = taught.mean(axis=0), taught.std(axis=0) + 1e-12
+        self._mean = taught.mean(axis=0)
+        self._size = taught.std(axis=0) + 1e-12
         self._torque_mean, self._torque_size = float(torque.mean()), float(torque.std()) + 1e-12
         self._x = [self._tensor(x) for x in inputs]
         self._y = [

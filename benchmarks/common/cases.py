@@ -181,7 +181,8 @@ class Clean:
         or for the voltage of the same fraction of its own spread.
         """
         m = self.seeds.index(seed)
-        truth, voltage = self.torque_nm[m], self.voltage_v[m]
+        truth = self.torque_nm[m]
+        voltage = self.voltage_v[m]
         random = np.random.default_rng([seed, round(1e5 * noise), 20])
         sigma = noise * float(truth.std())
         torque = truth + sigma * random.standard_normal(truth.size)

@@ -86,7 +86,8 @@ class Climbed:
 
 def climb(case: Case, seed: int, build: Build) -> Climbed:
     """Let R rise by a fifth over the whole recording."""
-    cold, column = float(case.plant.resistance), case.parameters.index('resistance')
+    cold = float(case.plant.resistance)
+    column = case.parameters.index('resistance')
     schedule = [f'motor.resistance={cold:g}..{CLIMB * cold:g}@0..{case.duration_s:g}']
     record = simulate(case, [seed], None, schedule).record(seed, NOISE)
     stds = np.full((record.stamp_ns.size, case.truth.size), np.nan)
@@ -95,7 +96,8 @@ def climb(case: Case, seed: int, build: Build) -> Climbed:
     truth[:, column] *= 1.0 + (CLIMB - 1.0) * record.time_s / case.duration_s
     late = record.time_s > 0.5 * case.duration_s
     off = (rows - truth)[late]
-    relative, in_stds = off / truth[late], off / stds[late]
+    relative = off / truth[late]
+    in_stds = off / stds[late]
     return Climbed(np.sqrt(np.mean(relative**2, axis=0)), np.sqrt(np.mean(in_stds**2, axis=0)))
 
 
@@ -150,7 +152,8 @@ def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
 
 def _steady_nm(record: Record) -> FloatArray:
     """The true torque after a recording while its last voltage is held, until it has settled."""
-    case, count = record.case, 20 * round(record.case.rate_hz)
+    case = record.case
+    count = 20 * round(record.case.rate_hz)
     held = Inputs(
         np.full(count, 1.0 / case.rate_hz),
         np.full(count, record.voltage_v[-1]),

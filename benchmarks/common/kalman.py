@@ -128,7 +128,8 @@ class _Problem:
     def ahead(self, i: float, p: list[float], k: int) -> tuple[float, float]:
         """Return the currents at sample k and halfway to it, by one Runge-Kutta step from k - 1."""
         h, v = self.interval[k], self.voltage[k]
-        w0, w1 = self.speed[k - 1], self.speed[k]
+        w0 = self.speed[k - 1]
+        w1 = self.speed[k]
         wm = 0.5 * (w0 + w1)
         k1 = self.slope(i, p, v, w0)
         k2 = self.slope(i + 0.5 * h * k1, p, v, wm)
@@ -139,7 +140,8 @@ class _Problem:
     def jacobian(self, im: float, p: list[float], k: int) -> list[float]:
         """First row of the transition's Jacobian, linearised halfway: third order in the step."""
         h, v = self.interval[k], self.voltage[k]
-        kt, kb = self.kt, self.kb
+        kt = self.kt
+        kb = self.kb
         if self.rotor:
             w = 0.5 * (self.speed[k - 1] + self.speed[k])
             a = -(p[1] + p[2] * abs(w))

@@ -120,11 +120,14 @@ def step_all(
     )
     h = inputs.interval_s / n
     acceleration = np.diff(inputs.speed_rad_s) / n
-    x, by_start, by_theta = start, np.ones_like(start), np.zeros((len(theta), start.size))
+    x = start
+    by_start = np.ones_like(start)
+    by_theta = np.zeros((len(theta), start.size))
     for k in range(n):
         w = inputs.speed_rad_s[:-1] + k * acceleration
         base = (x, by_start, by_theta)
-        stage, total = base, (np.zeros_like(x), np.zeros_like(x), np.zeros_like(by_theta))
+        stage = base
+        total = (np.zeros_like(x), np.zeros_like(x), np.zeros_like(by_theta))
         for node, weight, ahead in RUNGE_KUTTA:
             value, a, b = rate(form, theta, stage[0], inputs.voltage_v, w + node * acceleration)
             slopes = (value, a * stage[1], a * stage[2] + b)

@@ -48,7 +48,8 @@ class MovingHorizon:
         spread = float(np.std(record.torque_nm)) / case.plant.torque_constant
         self._current = record.torque_nm / case.plant.torque_constant
         inputs = record.inputs
-        self._voltage, self._speed = inputs.voltage_v, np.nan_to_num(record.speed_rad_s)
+        self._voltage = inputs.voltage_v
+        self._speed = np.nan_to_num(record.speed_rad_s)
         step_s = float(np.median(inputs.interval_s))
         names = [f'p{j}' for j in range(self._count)]
         self._mhe = mhe = MHE(_model(record, step_s, self._p0, names), names)
@@ -109,14 +110,16 @@ def _model(record: Record, step_s: float, p0: FloatArray, names: list[str]) -> A
         model.set_variable('_u', name) for name in ('voltage', 'first_speed', 'last_speed')
     )
     p = [scale * model.set_variable('_p', name) for scale, name in zip(p0, names, strict=True)]
-    kt, kb = case.plant.torque_constant, case.plant.back_emf_constant
+    kt = case.plant.torque_constant
+    kb = case.plant.back_emf_constant
 
     def slope(i: Any, w: Any) -> Any:
         w = w if case.rotor else kt * i
         back_emf = p[3] * w if len(p) > 3 else p[0] * kb * w
         return p[0] * voltage - p[1] * i - p[2] * w * i - back_emf
 
-    h, middle = step_s, 0.5 * (first + last)
+    h = step_s
+    middle = 0.5 * (first + last)
     k1 = slope(current, first)
     k2 = slope(current + 0.5 * h * k1, middle)
     k3 = slope(current + 0.5 * h * k2, middle)

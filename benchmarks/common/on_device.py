@@ -53,7 +53,8 @@ def rows_on_device(
         counts = [DEVICE_FROM] if quick else [DEVICE_FROM, 20_000]
     else:
         counts = [10_000, 100_000] if quick else [10_000, 100_000, 1_000_000]
-    rows, figures = [], []
+    rows = []
+    figures = []
     for motors in counts:
         cost_us = prediction(device, samples, motors)
         load = 1e-6 * RATE_HZ * motors * cost_us

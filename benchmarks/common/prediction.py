@@ -207,7 +207,8 @@ class OneStep:
 def one_step(duration: float, count: int, seed: int) -> OneStep:
     """Forecast motors of every kind, brushes and four quadrants included, over one interval."""
     drawn = draw_family(np.random.default_rng([seed, 40]), count, 1)
-    columns, zero = list(drawn.theta.T), np.zeros(count)
+    columns = list(drawn.theta.T)
+    zero = np.zeros(count)
     way = course(np, drawn.white_box, columns, drawn.voltage_v[:, 0], zero, zero)
     interval_s = duration / chord(np, drawn.white_box, way, drawn.start_a)
     exact = flow(np, drawn.white_box, way, drawn.start_a, interval_s, 0.02)
@@ -242,7 +243,9 @@ def after_a_step(
     observer = Observer(
         Configuration.from_flat({'motors': ['motor0']}), lambda configuration: NoTraining()
     )
-    said, found, resistance = [], [], np.nan
+    said = []
+    found = []
+    resistance = np.nan
     for result in feed(observer, recording):
         said.append((result.prediction.torque_nm[0], result.prediction.white_box_torque_nm[0]))
         resistance = resistance if result.estimate is None else float(result.estimate.value[0, 1])

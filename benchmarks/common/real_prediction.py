@@ -197,10 +197,8 @@ def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
 
     There is one row every so many lines; the first number of a column holds until the next.
     """
-    rows, at = (
-        [line.split(',') for line in lines[head:]],
-        lines[head - 1].strip().split(',').index(column),
-    )
+    rows = [line.split(',') for line in lines[head:]]
+    at = lines[head - 1].strip().split(',').index(column)
     early = [row[at] for row in rows]
     late = [early[0]] * by + early
     return [
@@ -277,7 +275,8 @@ def black_box(
     parts = [series(history) for history in histories]
     sizes = [part['torque_nm'].size for part in parts]
     held_out = np.split(judging(np.arange(sum(sizes))), np.cumsum(sizes)[:-1])
-    inputs, torque_nm = [_inputs(part) for part in parts], [part['torque_nm'] for part in parts]
+    inputs = [_inputs(part) for part in parts]
+    torque_nm = [part['torque_nm'] for part in parts]
     return BlackBox(inputs, torque_nm, held_out, hidden=hidden, steps=steps, seed=seed)
 
 

@@ -201,7 +201,8 @@ def _moved(results: Results, method: str, case: Case, kind: str) -> float | None
 
 def figures(results: Results) -> list[Figure]:
     """The figures to reach, of the package's first rule."""
-    method, plan = own_rule(results.plan.methods), results.plan
+    method = own_rule(results.plan.methods)
+    plan = results.plan
     found: list[Figure] = []
     for case in CASES:
         found += (
@@ -213,7 +214,8 @@ def figures(results: Results) -> list[Figure]:
             found += _against_peers(results, method, case, either_way)
     for step in STEPS:
         found += _figures_of_step(results, method, step)
-    ours, filter_time = results.times.get(method), results.times.get('ekf')
+    ours = results.times.get(method)
+    filter_time = results.times.get('ekf')
     found += [
         Figure(
             'time a sample / filterpy EKF',
@@ -243,7 +245,8 @@ def _figures_of_step(results: Results, method: str, step: Step) -> list[Figure]:
     if not runs:
         return []
     times = [run.settled_s for run in runs]
-    goal, counts = 3.0 if step is STEPS[0] else None, results.plan.counts
+    goal = 3.0 if step is STEPS[0] else None
+    counts = results.plan.counts
     multiple = float(np.max(np.sqrt(np.mean([run.multiple**2 for run in runs], axis=0))))
     return [
         Figure(f'{step.title}: s until within 2 % to stay, worst seed', max(times), goal, counts),
@@ -258,7 +261,8 @@ def _figures_of_step(results: Results, method: str, step: Step) -> list[Figure]:
 
 
 def _figures_of_core(results: Results, method: str, case: Case) -> list[Figure]:
-    plan, found = results.plan, []
+    plan = results.plan
+    found = []
     row = results.summary(method, case, 0.01, False, plan.own_seeds)
     if row is None:
         return []

@@ -47,7 +47,11 @@ def follow(build: Callable[[Record], Online], record: Record, marks: NDArray[np.
     """Feed a recording to a fresh estimator."""
     truth = record.case.truth
     error = np.full((len(marks), len(truth)), np.nan)
-    next_mark, identified, overconfident, alarms, nees = 0, 0, 0, 0, np.nan
+    next_mark = 0
+    identified = 0
+    overconfident = 0
+    alarms = 0
+    nees = np.nan
     failure = ''
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -77,7 +81,8 @@ def grow(record: Record, marks: NDArray[np.intp]) -> Trace:
     """Batch least squares on everything up to each mark, each started from the one before."""
     truth = record.case.truth
     error = np.full((len(marks), len(truth)), np.nan)
-    guess, covariance = None, None
+    guess = None
+    covariance = None
     for row, mark in enumerate(marks):
         try:
             theta, covariance = output_error(record, int(mark) + 1, guess)

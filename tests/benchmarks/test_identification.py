@@ -70,7 +70,8 @@ def test_a_failed_run_counts_as_infinitely_wrong() -> None:
     from common.summary import summarise
     from common.trace import Trace
 
-    good, failed = np.full((2, 3), 1e-3), np.full((2, 3), np.nan)
+    good = np.full((2, 3), 1e-3)
+    failed = np.full((2, 3), np.nan)
     runs = [(Trace(error, 3.0), np.full((2, 3), 1e-3), np.arange(2.0)) for error in (good, failed)]
     summary = summarise(runs, 0.01)
     assert summary.diverged == 1

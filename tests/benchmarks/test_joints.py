@@ -38,7 +38,8 @@ def test_power_is_lost_in_winding_friction_and_load(has_load: bool) -> None:
 @pytest.mark.parametrize(('share', 'moves'), [(0.9, False), (1.1, True)])
 def test_friction_holds_a_shaft_until_it_breaks(share: float, moves: bool) -> None:
     joint = drawn('none', static_friction=1.0)
-    friction, step_s = BristleFriction(joint, 1e-4), 1e-4
+    friction = BristleFriction(joint, 1e-4)
+    step_s = 1e-4
     pull_nm = share * joint.motor.coulomb_friction
     angle_rad = speed_rad_s = 0.0
     for _ in range(5000):

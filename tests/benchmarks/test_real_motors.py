@@ -25,7 +25,9 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def servo_log(tmp_path: Path) -> Path:
     """A log in the form of the servo's: L = 2 mH and R = 8 ohm behind its brushes."""
-    random, current, period_s = np.random.default_rng(1), 0.0, 49.75e-6
+    random = np.random.default_rng(1)
+    current = 0.0
+    period_s = 49.75e-6
     lines = ['duty_q15,vmotor_a,vmotor_b,current_raw,window_valid']
     for step in range(4000):
         if step % 40 == 0:

@@ -33,7 +33,9 @@ PARAMETERS = {
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     """A motor that the white box knows: L = 20 mH, R = 4 ohm, w = Kt i."""
-    random, current, lines = np.random.default_rng(1), 0.0, ['t,u,i']
+    random = np.random.default_rng(1)
+    current = 0.0
+    lines = ['t,u,i']
     for k in range(600):
         if k % 20 == 0:
             voltage = float(random.uniform(1.0, 9.0))
@@ -83,12 +85,14 @@ def test_the_black_box_learns_a_filter_and_stops_by_blocks_that_did_not_teach() 
 
 @pytest.mark.parametrize('inputs', [1, 2])
 def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inputs: int) -> None:
-    data, judging = [np.zeros((600, inputs))], [np.arange(600) // 50 % 4 == 3]
+    data = [np.zeros((600, inputs))]
+    judging = [np.arange(600) // 50 % 4 == 3]
     counts = [
         BlackBox(data, [np.zeros(600)], judging, hidden=hidden, steps=0, seed=1).learnt
         for hidden in SIZES
     ]
-    network, linear = Weights.initial(INPUTS, HIDDEN, 0), LinearPart.silent()
+    network = Weights.initial(INPUTS, HIDDEN, 0)
+    linear = LinearPart.silent()
     residual = ResidualModel(
         network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01
     ).weight_count
@@ -114,7 +118,9 @@ def test_a_folder_without_measurements_is_one_clear_line(tmp_path: Path, folder:
 
 
 def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> None:
-    random, current, period_s = np.random.default_rng(1), 0.0, 49.75e-6
+    random = np.random.default_rng(1)
+    current = 0.0
+    period_s = 49.75e-6
     lines = ['duty_q15,vmotor_a,vmotor_b,current_raw,window_valid']
     for k in range(160):
         duty = 0.4 if (k // 20) % 2 else 0.8

@@ -99,7 +99,8 @@ def test_a_search_that_stops_before_a_kink_goes_on_beyond_it() -> None:
     record = draw(gear_motor, 14, 100.0, 40.0)
     motor = record.motor
     samples = np.zeros((4, record.measured_a.size))
-    samples[0, 1:], samples[1, 1:] = record.interval_s, record.voltage_v
+    samples[0, 1:] = record.interval_s
+    samples[1, 1:] = record.voltage_v
     samples[2] = record.measured_a * motor.torque_constant
     box = MotorWhiteBox(
         NODES, motor.torque_constant, {'back_emf_constant': motor.back_emf_constant}

@@ -75,7 +75,8 @@ def test_the_transition_of_the_extended_filter_is_the_derivative_of_its_motion(
     problem = JointExtended(record, JointSettings()).problem
     p = problem.values(problem.start.tolist())
     state = np.array([0.5, 0.3 * 12.0 / problem.kb])
-    volt, size = 6.0, np.array([1e-4, 1e-2])
+    volt = 6.0
+    size = np.array([1e-4, 1e-2])
     _, _, at_i, at_w = problem.moved(*state, p, volt)
     told = problem.transition(at_i, at_w, p, volt)
     for column in range(2):

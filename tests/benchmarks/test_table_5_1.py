@@ -80,7 +80,8 @@ def test_a_shifted_prediction_has_a_perfect_difference_score_and_a_wrong_torque(
 
 def test_a_prediction_missing_where_it_is_judged_is_infinitely_wrong_but_not_before() -> None:
     series = ramp(1e-3)
-    late, early = series.torque_nm.copy(), series.torque_nm.copy()
+    late = series.torque_nm.copy()
+    early = series.torque_nm.copy()
     late[0, WARM_UP + 3] = early[0, WARM_UP - 1] = np.nan
     assert score(series, late).error_percent[0] == np.inf
     assert score(series, early).error_percent[0] == 0.0
@@ -119,7 +120,8 @@ def test_noise_is_on_the_voltage_and_the_torque_follows_it() -> None:
 
 
 def test_a_decimated_voltage_is_the_mean_over_the_interval_before_the_sample() -> None:
-    whole, thin = record([TRAINING_SET], 7, 12.0, 1), record([TRAINING_SET], 7, 12.0, 10)
+    whole = record([TRAINING_SET], 7, 12.0, 1)
+    thin = record([TRAINING_SET], 7, 12.0, 10)
     assert thin.interval_s == pytest.approx(0.1)
     assert thin.torque_nm == pytest.approx(whole.torque_nm[:, ::10])
     assert thin.voltage_v[0, 5] == pytest.approx(whole.voltage_v[0, 41:51].mean())
@@ -228,7 +230,8 @@ def test_further_variants_go_through_the_observer_which_learns_nothing_from_the_
     for variant in ('supervised', *extra_variants()):
         trained = online.train(OURS.configuration(variant), data.training, 1)
         before = online.theta(trained).copy()
-        first, second = online.predict(trained, data.tests), online.predict(trained, data.tests)
+        first = online.predict(trained, data.tests)
+        second = online.predict(trained, data.tests)
         assert np.array_equal(first, second, equal_nan=True)
         assert np.array_equal(online.theta(trained), before)
         assert np.all(np.isfinite(first[:, WARM_UP:]))
@@ -245,7 +248,8 @@ def test_the_control_whose_network_learns_nothing_still_identifies_the_motor() -
 
 
 def test_ours_keeps_the_defaults_and_the_faithful_setting_the_sizes_of_the_thesis() -> None:
-    ours, faithful = OURS.configuration('main'), FAITHFUL.configuration('main')
+    ours = OURS.configuration('main')
+    faithful = FAITHFUL.configuration('main')
     assert ours['training.hidden'] == type(ours).from_flat({})['training.hidden']
     assert (faithful['training.hidden'], faithful['training.context']) == (2, 64)
     assert (faithful['training.learning_rate'], faithful['gradient.learning_rate']) == (0.001, 0.01)

@@ -68,7 +68,8 @@ def test_rotor_mode_agrees_with_an_adaptive_solver():
 
 def test_a_light_rotor_with_unit_friction_is_the_motor_of_the_thesis():
     light = replace(THESIS, inertia=1e-3)
-    rotor, thesis = Plant([light], 'rotor'), Plant([THESIS])
+    rotor = Plant([light], 'rotor')
+    thesis = Plant([THESIS])
     state = run(rotor, 10.0, 1.0)
     assert rotor.torque_nm(state) == pytest.approx(
         thesis.torque_nm(run(thesis, 10.0, 1.0)), rel=5e-3
@@ -93,7 +94,8 @@ def test_coulomb_friction_holds_the_rotor_against_a_smaller_torque():
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])
 def test_motors_side_by_side_do_what_each_does_alone(mode):
     motors = [THESIS, PlantParameters(inductance=0.35, resistance=0.8, hysteresis=14.0)]
-    state, voltage_v = Plant(motors, mode).initial_state() + 0.5, np.array([3.0, 12.0])
+    state = Plant(motors, mode).initial_state() + 0.5
+    voltage_v = np.array([3.0, 12.0])
     together = Plant(motors, mode).step(state, voltage_v, 0.01, 4)
     for m, motor in enumerate(motors):
         alone = Plant([motor], mode).step(state[m : m + 1], voltage_v[m : m + 1], 0.01, 4)

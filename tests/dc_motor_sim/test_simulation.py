@@ -32,7 +32,8 @@ def test_a_voltage_sample_holds_until_the_next_one_and_torque_is_at_its_stamp():
     # conventions kept.
     motor = replace(THESIS, hysteresis=0.0, back_emf_constant=0.0)
     recording = simulation('R[5,15]D[0.001,0.1]', motor=motor, seed=3).record(5.0)
-    current_a, decay = 0.0, np.exp(-0.01 / 0.5)
+    current_a = 0.0
+    decay = np.exp(-0.01 / 0.5)
     for voltage_v, torque_nm in zip(recording.voltage_v[0], recording.torque_nm[0], strict=True):
         assert torque_nm == pytest.approx(0.01 * current_a, rel=1e-6, abs=1e-12)
         current_a = voltage_v + (current_a - voltage_v) * decay
@@ -77,7 +78,8 @@ def test_the_same_seed_gives_the_same_bytes(mode):
 
 
 def test_sensor_noise_does_not_touch_the_truth():
-    clean, noisy = simulation().record(20.0), simulation(torque_noise_std=0.01).record(20.0)
+    clean = simulation().record(20.0)
+    noisy = simulation(torque_noise_std=0.01).record(20.0)
     assert noisy.true_torque_nm.tobytes() == clean.torque_nm.tobytes()
     assert noisy.voltage_v.tobytes() == clean.voltage_v.tobytes()
     assert (noisy.torque_nm - noisy.true_torque_nm).std() == pytest.approx(0.01, rel=0.06)
@@ -119,7 +121,8 @@ def test_a_plant_too_fast_for_the_sample_rate_is_refused_and_the_old_one_goes_on
 
 def test_a_schedule_changes_the_plant_at_its_sample():
     texts = ['motor.resistance=2.0@5', 'motor.inductance=0.5..0.25@1..3']
-    scheduled, by_hand = simulation('C[10]', schedule=texts[:1]), simulation('C[10]')
+    scheduled = simulation('C[10]', schedule=texts[:1])
+    by_hand = simulation('C[10]')
     first = np.concatenate([by_hand.record(5.0).torque_nm, [[]]], axis=1)
     by_hand.set_parameters({'motor': replace(THESIS, resistance=2.0)})
     expected = np.concatenate([first, by_hand.record(5.0).torque_nm], axis=1)
@@ -145,10 +148,8 @@ def test_a_command_drives_an_external_motor_only():
 
 
 def test_one_step_is_one_sample_of_a_recording():
-    stepped, recorded = (
-        simulation(torque_noise_std=0.01),
-        simulation(torque_noise_std=0.01).record(0.5),
-    )
+    stepped = simulation(torque_noise_std=0.01)
+    recorded = simulation(torque_noise_std=0.01).record(0.5)
     for k in range(50):
         sample = stepped.step()
         assert sample.stamp_ns == recorded.stamp_ns[k]

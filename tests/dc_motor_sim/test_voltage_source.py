@@ -27,7 +27,8 @@ def test_a_level_of_three_seconds_holds_for_exactly_three_hundred_samples():
 def test_levels_and_holds_are_uniform_in_their_ranges():
     series = voltages(['R[5,15]D[0.1,0.3]'], 100_000)[0]
     changes = np.flatnonzero(np.diff(series)) + 1
-    levels, holds_s = series[changes], np.diff(changes) * 0.01
+    levels = series[changes]
+    holds_s = np.diff(changes) * 0.01
     assert 5.0 <= levels.min() < 5.1
     assert 14.9 < levels.max() <= 15.0
     assert levels.mean() == pytest.approx(10.0, abs=4 * np.sqrt(100 / 12 / len(levels)))

@@ -164,8 +164,10 @@ class Run:
         self._tick += 1
 
     def _messages(self, missing: frozenset[str], way: str) -> Iterator[tuple[str, bytes]]:
-        data, tick = recording(), self._tick
-        at, stamp_ns = tick % data.stamp_ns.size, tick * TICK_NS
+        data = recording()
+        tick = self._tick
+        at = tick % data.stamp_ns.size
+        stamp_ns = tick * TICK_NS
         every_voltage, every_torque = self.case.rates[1], self.case.rates[0]
         speed = float(data.speed_rad_s[0, at])
         if tick % every_voltage == 0:

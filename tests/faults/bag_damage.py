@@ -51,7 +51,8 @@ def make_sources(folder: Path, seconds: float) -> dict[str, list[Path]]:
     made: dict[str, list[Path]] = {form: [] for form in (*OWN, *FOREIGN)}
     for bag in sorted(path.parent for path in BAGS.glob(f'*/{METADATA_NAME}')):
         with BagReader(bag) as reader:
-            topics, end_ns = reader.topics, reader.start_ns + round(seconds * 1e9)
+            topics = reader.topics
+            end_ns = reader.start_ns + round(seconds * 1e9)
             messages = [message for message in reader.messages() if message.log_time_ns < end_ns]
         schemas = {name: (info.type_name, info.schema_text) for name, info in topics.items()}
         for number, (form, options) in enumerate(OWN.items()):
@@ -162,7 +163,8 @@ def _flip_many(draw: random.Random, content: bytearray) -> None:
 
 
 def _burst(draw: random.Random, content: bytearray) -> None:
-    start, length = _place(draw, content), draw.choice([2, 8, 64, 700])
+    start = _place(draw, content)
+    length = draw.choice([2, 8, 64, 700])
     for at in range(start, min(start + length, len(content))):
         content[at] ^= draw.randrange(256)
 
@@ -185,7 +187,8 @@ def _repeat(draw: random.Random, content: bytearray) -> None:
 
 def _records(content: bytearray) -> list[tuple[int, int, int]]:
     """Start, opcode and length with the head of every record that stands outside chunks."""
-    found, at = [], 8
+    found = []
+    at = 8
     while at + HEAD.size <= len(content):
         opcode, length = HEAD.unpack_from(content, at)
         if at + HEAD.size + length > len(content):

@@ -133,7 +133,9 @@ class Case:
         return simulation.record(0.01 * (self._kind.before + self._samples))
 
     def _feed(self, observer: Observer, start: int, end: int) -> tuple[int, NDArray[np.bool_]]:
-        bad, silent, recording = 0, [], self._recording
+        bad = 0
+        silent = []
+        recording = self._recording
         speeds = self.name == 'speed measured'
         for k in range(start, end):
             stamp_ns = int(recording.stamp_ns[k])
@@ -203,7 +205,8 @@ def main() -> int:
         else [options.only]
     )
     kinds = list(KINDS)
-    tally, cases = NumberTally(), {}
+    tally = NumberTally()
+    cases = {}
     for name in options.kinds:
         if options.only is None or name == kinds[options.only % len(kinds)]:
             cases[name] = Case(name, KINDS[name], options.samples)

@@ -87,10 +87,8 @@ class Account:
             ('voltage', pairing.received_voltage),
             ('torque', pairing.received_torque),
         ):
-            unreadable, strangers = (
-                message_input.rejection_counts[signal].total(),
-                message_input.others[signal],
-            )
+            unreadable = message_input.rejection_counts[signal].total()
+            strangers = message_input.others[signal]
             self.unexplained += abs(delivered[signal] - of_motor - unreadable - strangers)
             self.counts.update({'unreadable': unreadable, 'of no motor asked for': strangers})
             self.counts.update(
@@ -220,7 +218,8 @@ def main() -> int:
         during = campaign.deviation()
         campaign.clean_minute()
         campaign.close_account()
-    faults, account = campaign.faults, campaign.account
+    faults = campaign.faults
+    account = campaign.account
     print(f'{faults.seen} messages, of them')
     for kind, count in faults.counts.most_common():
         print(f'  {kind.value:<28} {count:>8}')

@@ -317,7 +317,8 @@ def as_message(data: bytes) -> SimpleNamespace:
     view = decode_joint_state(data)
     seconds, nanoseconds = divmod(view.stamp_ns, 1_000_000_000)
     header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds))
-    velocity, effort = array('d', view.velocity), array('d', view.effort)
+    velocity = array('d', view.velocity)
+    effort = array('d', view.effort)
     return SimpleNamespace(header=header, name=list(view.names), velocity=velocity, effort=effort)
 
 
@@ -425,7 +426,8 @@ def main() -> int:
     no_shrink = 'print what breaks as it was drawn'
     parser.add_argument('--no-shrink', action='store_true', help=no_shrink)
     options = parser.parse_args()
-    taken, broken = 0, 0
+    taken = 0
+    broken = 0
     with tqdm(total=options.steps, unit='step', mininterval=1.0) as bar:
 
         def count(steps: int) -> None:

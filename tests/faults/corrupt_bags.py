@@ -180,7 +180,8 @@ def _check_identify(path: Path) -> str:
     Raises:
         WrongError: It ended in a way that it must not.
     """
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = identify(['identify', str(path), '--skip-predictor', '--json', '-'])
     lines = err.getvalue().splitlines()

@@ -16,12 +16,20 @@ from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 
 MAGIC = b'\x89MCAP0\r\n'
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, ATTACHMENT, STATISTICS, METADATA, PRIVATE = (
-    *(1, 2, 3, 4, 5, 6, 9, 11, 12, 200),
-)
+HEADER = 1
+FOOTER = 2
+SCHEMA = 3
+CHANNEL = 4
+MESSAGE = 5
+CHUNK = 6
+ATTACHMENT = 9
+STATISTICS = 11
+METADATA = 12
+PRIVATE = 200
 MB = 1_000_000
 START_NS = 10**18
-TORQUE, VOLTAGE = '/motor/torque', '/motor/voltage'
+TORQUE = '/motor/torque'
+VOLTAGE = '/motor/voltage'
 BLOCK_BYTES = 1 << 20
 
 
@@ -278,7 +286,8 @@ def statistics_of_many(path: Path) -> None:
     """Counts of six million channels, most of them a hole."""
     with path.open('wb') as stream:
         stream.write(MAGIC + record(HEADER, text('ros2') + text('')) + declarations() + samples())
-        start, size = stream.tell(), 60 * MB
+        start = stream.tell()
+        size = 60 * MB
         stream.write(
             record(STATISTICS, struct.pack('<QHIIIIQQI', 0, 1, 1, 0, 0, 0, 0, 0, size), 46 + size)
         )

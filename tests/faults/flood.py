@@ -110,7 +110,8 @@ def nearly(size: int) -> Iterator[bytes]:
 
 def valid(size: int) -> Iterator[bytes]:
     """Messages of one motor, each later than the last; some just below the size that is read."""
-    small_message, large_messages = _valid(['motor']), nearly(size)
+    small_message = _valid(['motor'])
+    large_messages = nearly(size)
     return _ever_later(
         next(large_messages) if number % LARGE_EVERY == 0 else small_message
         for number in itertools.count(1)
@@ -197,7 +198,8 @@ def main() -> int:
 def flood(kind: str, options: argparse.Namespace, log: IO[str]) -> tuple[float, float, int]:
     """Flood one observer; return its largest memory in MB, time to end, and amount sent."""
     context = multiprocessing.get_context('spawn')
-    ready, stop = context.Semaphore(0), context.Event()
+    ready = context.Semaphore(0)
+    stop = context.Event()
     sent = context.Value('q', 0)
     size = int(options.megabytes * 1e6)
     topics = FLOODS[kind].topics
@@ -234,7 +236,8 @@ def watched(process: subprocess.Popen[str], duration_s: float) -> float:
     Raises:
         AssertionError: it has ended.
     """
-    observed, peak_mb = psutil.Process(process.pid), 0.0
+    observed = psutil.Process(process.pid)
+    peak_mb = 0.0
     until_s = time.monotonic() + duration_s
     while time.monotonic() < until_s:
         assert process.poll() is None, f'the observer has ended with {process.returncode}'

@@ -36,7 +36,8 @@ from gray_box_observer.settings.configuration import Configuration
 
 PARAMETERS = ('inductance', 'resistance', 'hysteresis')
 TRUTH = np.array([0.5, 1.0, 10.0])
-SHORTEST_S, LONGEST_S = 0.1, 2.0
+SHORTEST_S = 0.1
+LONGEST_S = 2.0
 """How long an observer lives after the first sample it is sent."""
 SAMPLES_AT_ONCE = 10
 
@@ -123,7 +124,8 @@ def main() -> int:
     scraps: set[str] = set()
     spreads: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
-        path, log = Path(folder) / 'observer.safetensors', Path(folder) / 'log'
+        path = Path(folder) / 'observer.safetensors'
+        log = Path(folder) / 'log'
         with log.open('w+', encoding='utf-8') as file:
             bench = Bench(options.domain, file)
             try:

@@ -37,10 +37,12 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError
 
 RECORDER = 'gray_box_observer.ros.bags.recorder_node'
-FAST, SLOW = 'motor/torque', 'motor/voltage'
+FAST = 'motor/torque'
+SLOW = 'motor/voltage'
 SLOW_EVERY = 10
 PATIENCE_S = 60.0
-SHORTEST_S, LONGEST_S = 0.2, 5.0
+SHORTEST_S = 0.2
+LONGEST_S = 5.0
 """How long a recorder lives after the first message."""
 WAYS = (
     (),

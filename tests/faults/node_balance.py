@@ -52,10 +52,8 @@ class Account:
             self.refused += refused
             self.unexplained += abs(arrived - unreadable - strangers - of_motor)
             if signal == 'torque':
-                used, waiting = (
-                    int(facts['samples used']),
-                    int(facts['samples waiting for voltage']),
-                )
+                used = int(facts['samples used'])
+                waiting = int(facts['samples waiting for voltage'])
                 self.used += used
                 self.waiting += waiting
                 self.unexplained += abs(of_motor - used - waiting - refused.total())

@@ -78,7 +78,8 @@ class Proxy:
         self._simulators += 1
         remaps = []
         for name in TOPICS:  # topics of its own: what the one before had sent may still come
-            topic, queue = f'/driver_{self._simulators}/{name}', deque[bytes]()
+            topic = f'/driver_{self._simulators}/{name}'
+            queue = deque[bytes]()
             callback = partial(_keep, queue)
             self._waiting[name] = queue
             self._subscriptions.append(
@@ -262,7 +263,8 @@ def _report(
     after: dict[str, float],
     tracebacks: int,
 ) -> int:
-    faults, account = campaign.faults, campaign.account
+    faults = campaign.faults
+    account = campaign.account
     print(f'{faults.seen} messages of the simulator, of them')
     for kind, count in faults.counts.most_common():
         print(f'  {kind.value:<28} {count:>8}')

@@ -67,7 +67,8 @@ def main() -> int:
                         children = psutil.Process(bench.observer.pid).children(recursive=True)
                         training_mb.append(sum(child.memory_info().rss for child in children) / 1e6)
                 bench.rest()
-                facts, deviations = dict(bench.facts), bench.deviations()
+                facts = dict(bench.facts)
+                deviations = bench.deviations()
             finally:
                 bench.close()
             said = log.read_text(encoding='utf-8', errors='replace')

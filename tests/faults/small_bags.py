@@ -100,7 +100,8 @@ def main() -> int:
     parser.add_argument('--show', action='store_true', help='what each said too')
     options = parser.parse_args()
     worst = dict.fromkeys(DOORS, 0.0)
-    longest_s, wrong = 0.0, 0
+    longest_s = 0.0
+    wrong = 0
     with tempfile.TemporaryDirectory() as folder:
         for name in options.only or CRAFTS:
             path = Path(folder) / f'{name}.mcap'

@@ -33,7 +33,9 @@ SETTLING_S = 600
 class NoTraining:
     """A predictor that is not taught: what is left of it runs in the sample path."""
 
-    is_resting, busy, failure = True, False, None
+    is_resting = True
+    busy = False
+    failure = None
 
     def __init__(self, _configuration: dict[str, Any]) -> None:
         pass
@@ -69,7 +71,8 @@ def main() -> int:
     )
     observer = Observer(Configuration.from_flat({}), NoTraining if options.predictor else None)
     minutes = round(options.hours * 3600 / LOOK_EVERY_S)
-    deviations, memory_mb = [], []
+    deviations = []
+    memory_mb = []
     used = 0
     for minute in tqdm(range(minutes), unit='simulated min', mininterval=1.0):
         for _ in range(round(LOOK_EVERY_S * options.rate)):

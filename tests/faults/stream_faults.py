@@ -159,7 +159,8 @@ class StreamFaults:
         """Deliver what is still on its way."""
         late = [delivery for _, _, delivery in sorted(self._late)]
         arriving, self._frozen, self._late = self._frozen + late, [], []
-        self._running, self._left = None, 0
+        self._running = None
+        self._left = 0
         return self._counted(arriving)
 
     def _counted(self, arriving: list[Delivery]) -> list[Delivery]:
@@ -251,7 +252,8 @@ def _values(values: Sequence[float]) -> Callable[[JointStateView, random.Random]
 
 
 def _wrong_length(message: JointStateView, draw: random.Random) -> JointStateView:
-    names, effort = message.names, message.effort
+    names = message.names
+    effort = message.effort
     changed = draw.choice(
         (
             {'effort': ()},

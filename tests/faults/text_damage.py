@@ -195,7 +195,8 @@ def _removed_range(text: str, draw: random.Random) -> str:
 
 
 def _repeated_range(text: str, draw: random.Random) -> str:
-    at, size = draw.randrange(len(text) + 1), draw.randrange(1, 200)
+    at = draw.randrange(len(text) + 1)
+    size = draw.randrange(1, 200)
     return text[:at] + text[at : at + size] * draw.choice((2, 3, 500)) + text[at + size :]
 
 

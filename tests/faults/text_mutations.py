@@ -215,7 +215,8 @@ class Campaign:
             'metadata': [path.parent],
             'log': [self._folder / 'log', '--from-csv', path, '--columns', *COLUMNS],
         }[kind]
-        out, err = io.StringIO(), io.StringIO()
+        out = io.StringIO()
+        err = io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = identify(['identify', *map(str, options), '--skip-predictor', '--json', '-'])
         shutil.rmtree(self._folder / 'log', ignore_errors=True)

@@ -57,7 +57,8 @@ def samples_of() -> Callable[..., list[Sample]]:
     """Turn a recording into samples of all its motors at once, as pairing would make them."""
 
     def make(recording: Recording, speed: bool = False) -> list[Sample]:
-        count, motors = recording.stamp_ns.size, len(recording.motors)
+        count = recording.stamp_ns.size
+        motors = len(recording.motors)
         blank = np.full(motors, np.nan)
         return [
             Sample(

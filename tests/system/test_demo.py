@@ -290,7 +290,8 @@ def test_a_short_demo_identifies_the_motor_and_accounts_for_every_sample(tmp_pat
     assert all(abs(entry['error_percent']) < 20.0 for entry in parameters.values()), parameters
     account = re.search(r'800 torque samples recorded, (\d+) used(.*)', errors)
     assert account is not None, errors
-    used, rest = int(account[1]), account[2]
+    used = int(account[1])
+    rest = account[2]
     counts = re.findall(r'(\d+) (?:lost on the way|refused by it|still waiting)', rest)
     assert used + sum(map(int, counts)) == 800, account[0]
     assert used >= 720  # a busy machine may hand the first torques over before their voltages

@@ -216,7 +216,8 @@ def test_with_deep_histories_nothing_is_lost_on_three_hosts_even_where_a_link_go
 
 
 def test_an_outage_longer_than_the_histories_is_a_gap_that_is_counted_and_everything_goes_on(robot):
-    rate_hz, depth = 200.0, 100  # half a second
+    rate_hz = 200.0
+    depth = 100  # half a second
     robot.listen(depth)
     robot.simulate(rate_hz, 0.0, depth)
     cut_off(robot, 200, 300)

@@ -63,7 +63,8 @@ def simulate(
 def joint_record(seed: int) -> Record:
     """Draw a joint, move it, and return what its user has: the two constants beside the log."""
     rng = np.random.default_rng([20_000, seed])
-    joint, conditions = draw_joint(rng), draw_conditions(rng)
+    joint = draw_joint(rng)
+    conditions = draw_conditions(rng)
     motor = joint.motor
     volt, current, speed = simulate(joint, conditions, rng)
     measured_a = current + conditions.noise * current.std() * rng.standard_normal(current.size)

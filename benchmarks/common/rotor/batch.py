@@ -108,9 +108,11 @@ def arx_fit(records: Sequence[Signals], order: int) -> FloatArray:
     Returns:
         Shape (2 order,).
     """
-    rows, targets = [], []
+    rows = []
+    targets = []
     for record in records:
-        current, voltage = record.current_a, record.voltage_v
+        current = record.current_a
+        voltage = record.voltage_v
         places = np.arange(order, current.size)
         columns = [current[places - lag] for lag in range(1, order + 1)]
         columns += [voltage[places - 1 - lag] for lag in range(order)]

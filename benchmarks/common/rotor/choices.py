@@ -43,7 +43,10 @@ def run_choice(record: Record) -> Choice:
     observer = Observer(Configuration.from_flat(parameters), None)
     stamps = np.round(np.arange(record.measured_a.size) * record.interval_s * 1e9).astype(int)
     torque_nm = record.measured_a * motor.torque_constant
-    source, since_s, claims, false = '', math.nan, 0, 0
+    source = ''
+    since_s = math.nan
+    claims = 0
+    false = 0
     for stamp, volt, reading in zip(
         stamps.tolist(), [*record.voltage_v.tolist(), 0.0], torque_nm.tolist(), strict=True
     ):
@@ -62,7 +65,8 @@ def run_choice(record: Record) -> Choice:
 
 def _claims(estimate: Estimate, motor: Motor) -> tuple[list[str], list[str]]:
     """Names of what an estimate calls identified: those that are right, and those that are not."""
-    right, wrong = [], []
+    right = []
+    wrong = []
     for j, parameter in enumerate(estimate.parameters):
         if estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
             continue

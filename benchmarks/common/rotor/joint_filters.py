@@ -68,13 +68,15 @@ class _Problem:
     def __init__(self, record: Record, settings: JointSettings) -> None:
         motor = record.motor
         self.start = np.log(joint_start(record))
-        self.kt, self.kb = motor.torque_constant, motor.back_emf_constant
+        self.kt = motor.torque_constant
+        self.kb = motor.back_emf_constant
         self.interval_s = record.interval_s
         self.voltage: list[float] = record.voltage_v.tolist()
         self.measured: list[float] = record.measured_a.tolist()
         self.noise_a = record.noise_a
         largest_v = float(np.abs(record.voltage_v).max())
-        speed, current = largest_v / self.kb, float(np.abs(record.measured_a).max())
+        speed = largest_v / self.kb
+        current = float(np.abs(record.measured_a).max())
         self.bend = settings.bend * speed
         self.low = (self.start - FARTHEST).tolist()
         self.high = (self.start + FARTHEST).tolist()
@@ -122,7 +124,8 @@ class _Problem:
         """Return the derivatives of the states at an interval's end, shape (state, all)."""
         rate_i, rate_w = self.rates(i, w, p, volt)
         bent = abs(w) + self.bend
-        turn, slope = w / bent, self.bend / bent**2
+        turn = w / bent
+        slope = self.bend / bent**2
         own = np.array(
             [[-p[1] / p[0], -self.kb / p[0]], [self.kt / p[2], -(p[3] + p[4] * slope) / p[2]]]
         )
@@ -146,7 +149,8 @@ class _Problem:
 def _exponential(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Exponential of a matrix of two, and the mean of it from 0 to 1, by the scalars behind it."""
     (a, b), (c, d) = matrix.tolist()
-    half, root = 0.5 * (a + d), (0.25 * (a - d) ** 2 + b * c)
+    half = 0.5 * (a + d)
+    root = 0.25 * (a - d) ** 2 + b * c
     size = math.sqrt(abs(root)) + 1e-12
     grow = math.exp(max(min(half, 50.0), -50.0))
     even, odd = (
@@ -267,7 +271,8 @@ class JointRun:
 
 def run_joint(kind: type[JointFilter], record: Record, settings: JointSettings) -> JointRun:
     """Run a filter over a record; one that breaks down has no error that is a number."""
-    one, count = kind(record, settings), record.measured_a.size
+    one = kind(record, settings)
+    count = record.measured_a.size
     begun = time.process_time()
     try:
         for k in range(1, count):

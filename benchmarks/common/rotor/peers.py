@@ -54,7 +54,8 @@ def own_run(record: Record) -> PeerRun:
         (Sample.of_one_motor(k * step_ns, record.interval_s if k else 0.0, volt, reading), current)
         for k, (volt, reading, current) in enumerate(signals)
     ]
-    noise_a, theta = 0.0, nodes.theta[0]
+    noise_a = 0.0
+    theta = nodes.theta[0]
     begun = time.process_time()
     for k, (sample, current) in enumerate(samples):
         if nodes.learn(sample):

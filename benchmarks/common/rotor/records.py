@@ -16,8 +16,10 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import State
 
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
-LOWEST_V, HIGHEST_V = -12.0, 12.0
-SHORTEST_S, LONGEST_S = 0.05, 0.5
+LOWEST_V = -12.0
+HIGHEST_V = 12.0
+SHORTEST_S = 0.05
+LONGEST_S = 0.5
 SLOWEST_HZ = 5000.0
 """Least rate of the plant's own steps."""
 

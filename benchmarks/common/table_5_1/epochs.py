@@ -140,12 +140,14 @@ class EpochTraining:
 
     def _loss(self, series: Series, starts: NDArray[np.intp]) -> torch.Tensor:
         """Loss of the variant on blocks of consecutive predictions that begin at these samples."""
-        context, count = self._rules.context, len(starts)
+        context = self._rules.context
+        count = len(starts)
         index = starts[:, None] + np.arange(BLOCK)
         windows = np.lib.stride_tricks.sliding_window_view(series.voltage_v[0], context)
         predicted = self._outputs(windows[index.ravel() - context + 1]).reshape(count, BLOCK)
         theta = np.broadcast_to(self._nodes.theta, (count, self._nodes.theta.shape[1]))
-        voltage, torque = series.voltage_v[0][index], series.torque_nm[0][index]
+        voltage = series.voltage_v[0][index]
+        torque = series.torque_nm[0][index]
         interval = np.full(index.shape, series.interval_s)
         signals = (voltage, interval, torque, np.zeros(index.shape), theta)
         return stage_two_loss(

@@ -206,10 +206,8 @@ def order(errors: thesis.Errors, column: int) -> list[str]:
 def ranking_in_words(results: Results) -> list[str]:
     """Say, set by set and claim by claim, where the ranking agrees with the thesis's."""
     errors = {row: results.difference_nm(row) for row in thesis.FOUR}
-    here, torque = (
-        _medians(errors),
-        _medians({row: results.error_percent(row) for row in thesis.FOUR}),
-    )
+    here = _medians(errors)
+    torque = _medians({row: results.error_percent(row) for row in thesis.FOUR})
     compared = [agreement(errors, j) for j in range(len(SETS))]
     lines = [
         'Ranking of the four by first differences, best first, "=" within 1 %; a pair counts if '
@@ -226,10 +224,8 @@ def ranking_in_words(results: Results) -> list[str]:
             f'{found.opposite} are the other way round, {found.open} open'
         )
     same = sum(found.same_best is True for found in compared)
-    agree, opposite = (
-        sum(found.agree for found in compared),
-        sum(found.opposite for found in compared),
-    )
+    agree = sum(found.agree for found in compared)
+    opposite = sum(found.opposite for found in compared)
     lines.append(
         f'  Together: the same best on {same} of {len(SETS)} sets; of {len(PAIRS) * len(SETS)} '
         f'pairs {agree} agree and '
@@ -240,7 +236,9 @@ def ranking_in_words(results: Results) -> list[str]:
         'and here:'
     )
     for claim in thesis.CLAIMS:
-        said, found_here, many = claim.count(thesis.ratios()), claim.count(here), len(claim.columns)
+        said = claim.count(thesis.ratios())
+        found_here = claim.count(here)
+        many = len(claim.columns)
         verdict = (
             'confirmed'
             if found_here >= said
@@ -283,18 +281,18 @@ def _numbers(errors: thesis.Errors, column: int, ties: bool = True) -> str:
 
 def figures(results: Results) -> list[Figure]:
     """The figures of one setting; goals are stated for ours."""
-    name, found = results.setting.name, []
+    name = results.setting.name
+    found = []
     wide = SETS.index('R[0,33]D[1,20]')
     for k, row in enumerate(thesis.FOUR, start=1):
         value = float(np.median(results.error_percent(row)[:, wide]))
         found.append(Figure(f'variant {k} on R[0,33]D[1,20], MAE % of std ({name})', value, None))
     errors = {row: results.difference_nm(row) for row in thesis.FOUR}
     compared = [agreement(errors, j) for j in range(len(SETS))]
-    same, agree = sum(c.same_best is True for c in compared), sum(c.agree for c in compared)
-    opposite, limit = (
-        sum(c.opposite for c in compared),
-        float(results.error_percent(WHITE_BOX).max()),
-    )
+    same = sum(c.same_best is True for c in compared)
+    agree = sum(c.agree for c in compared)
+    opposite = sum(c.opposite for c in compared)
+    limit = float(results.error_percent(WHITE_BOX).max())
     found += [
         Figure(f'sets with the same best variant as in the thesis, of 8 ({name})', same, None),
         Figure(f'pairs of variants ranked as in the thesis, of 48 ({name})', agree, None),
@@ -306,11 +304,13 @@ def figures(results: Results) -> list[Figure]:
 
 def _physics_figures(results: Results) -> list[Figure]:
     """Figure of the fifth variant, on the worst run; no value where the package lacks it."""
-    name, goal = results.setting.name, results.setting.online
+    name = results.setting.name
+    goal = results.setting.online
     worst = typical = ratio = control = None
     if PHYSICS in results.rows:
         errors = results.error_percent(PHYSICS)
-        worst, typical = float(errors.max()), float(np.median(errors, axis=0).max())
+        worst = float(errors.max())
+        typical = float(np.median(errors, axis=0).max())
         columns = [SETS.index(plain) for plain in PLAIN_SETS_OUT_OF_RANGE]
         ratio = float((errors / results.error_percent('supervised'))[:, columns].max())
     if untaught(PHYSICS) in results.rows:

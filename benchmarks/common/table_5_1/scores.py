@@ -34,7 +34,8 @@ class Score:
 
 def score(series: Series, predicted_nm: Array) -> Score:
     """Score a prediction, shape (set, sample); one that is not finite scores infinity."""
-    torque, predicted = series.torque_nm[:, WARM_UP:], predicted_nm[:, WARM_UP:]
+    torque = series.torque_nm[:, WARM_UP:]
+    predicted = predicted_nm[:, WARM_UP:]
     with np.errstate(invalid='ignore'):
         difference = np.abs(np.diff(predicted, axis=1) - np.diff(torque, axis=1)).mean(axis=1)
         error = np.abs(predicted - torque).mean(axis=1) / torque.std(axis=1)
@@ -60,7 +61,8 @@ def rollout(white_box: MotorWhiteBox, theta: Array, series: Series) -> Array:
         series: what is predicted; of its torque only the first sample is used.
     """
     count = len(series.names)
-    p, interval = to_coordinates(np.tile(theta, (count, 1))), np.full((count, 1), series.interval_s)
+    p = to_coordinates(np.tile(theta, (count, 1)))
+    interval = np.full((count, 1), series.interval_s)
     no_speed = np.zeros((count, 1))
     states = [white_box.state(series.torque_nm[:, :1])]
     torque = np.empty_like(series.torque_nm)

@@ -265,7 +265,8 @@ def filtered_speed(samples: float) -> Reading:
     """Log the speed behind a filter of first order with a time constant of some intervals."""
 
     def reading(log: Readings, rng: np.random.Generator) -> Readings:
-        speed, share = log.speed_rad_s, math.exp(-1.0 / samples)
+        speed = log.speed_rad_s
+        share = math.exp(-1.0 / samples)
         passed = speed.copy()
         for k, mean in enumerate(0.5 * (speed[1:] + speed[:-1])):
             passed[k + 1] = mean + share * (passed[k] - mean)

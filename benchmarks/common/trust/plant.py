@@ -83,13 +83,17 @@ class Plant:
 
     def _with_rotor(self, voltages_v: Sequence[float]) -> tuple[list[float], list[float]]:
         motor = self.motor
-        kt, kb, hysteresis = motor.torque_constant, motor.back_emf_constant, motor.hysteresis
-        friction, drop = motor.coulomb_friction, motor.brush_drop
+        kt = motor.torque_constant
+        kb = motor.back_emf_constant
+        hysteresis = motor.hysteresis
+        friction = motor.coulomb_friction
+        drop = motor.brush_drop
         (ii, iw, iv, it), (wi, ww, wv, wt) = self._transition
         decay = self._locked_decay
         gain = (1.0 - decay) / motor.resistance
         i, w = self.current_a, self.speed_rad_s
-        currents, speeds = [], []
+        currents = []
+        speeds = []
         for v in voltages_v:
             flow = _direction(i, v - kb * w, drop)  # of the current: what the brushes oppose
             turn = _direction(w, kt * i, friction)  # of the rotor
@@ -114,14 +118,17 @@ class Plant:
             i, w = i_next, w_next
             currents.append(i)
             speeds.append(w)
-        self.current_a, self.speed_rad_s = i, w
+        self.current_a = i
+        self.speed_rad_s = w
         return currents, speeds
 
     def _rigid(self, voltages_v: Sequence[float]) -> tuple[list[float], list[float]]:
-        motor, h = self.motor, self.step_s
+        motor = self.motor
+        h = self.step_s
         r = motor.resistance + motor.back_emf_constant * motor.torque_constant
         k = motor.hysteresis * motor.torque_constant
-        drop, inductance = motor.brush_drop, motor.inductance
+        drop = motor.brush_drop
+        inductance = motor.inductance
         i = self.current_a
         currents = []
         for v in voltages_v:
@@ -139,7 +146,8 @@ class Plant:
                 i_next = _past_zero(i, i_next, 2.0 * flow * drop * h / inductance)
             i = i_next
             currents.append(i)
-        self.current_a, self.speed_rad_s = i, motor.torque_constant * i
+        self.current_a = i
+        self.speed_rad_s = motor.torque_constant * i
         return currents, [motor.torque_constant * x for x in currents]
 
 

@@ -155,7 +155,8 @@ def _hard_but_right() -> Iterator[Scenario]:
     yield case(group, 'R by 3 %, speed measured', gear, course=motor_changed(resistance=1.03))
     group = 'a winding that heats'
     noisy = BLOCKED | {'noise': 0.05, 'duration_s': 20.0}
-    hot, cold = motor_drifted(resistance=1.1), motor_drifted(resistance=0.9)
+    hot = motor_drifted(resistance=1.1)
+    cold = motor_drifted(resistance=0.9)
     then_hot = motor_drifted(0.5, resistance=1.1)
     yield case(group, 'by 10 %, blocked', noisy, course=hot)
     yield case(group, 'by 10 %, then constant, blocked', noisy, course=then_hot)

@@ -232,7 +232,8 @@ def observe(record: Record, watch: Watch, trial: Trial) -> offline_run.Outcome:
     configuration = Configuration.from_flat(record.parameters)
     observer = Observer(configuration)
     outcome = offline_run.Outcome(observer, MessageInput(observer, configuration))
-    costs_ns, yardsticks_ns = [], []
+    costs_ns = []
+    yardsticks_ns = []
     log = record.readings
     torques = log.torque_stamp_ns.tolist(), record.torque_nm.tolist(), log.speed_rad_s.tolist()
     voltages = log.voltage_stamp_ns.tolist(), log.voltage_v.tolist()
@@ -268,7 +269,8 @@ def observe(record: Record, watch: Watch, trial: Trial) -> offline_run.Outcome:
 
 def _yardstick_ns() -> int:
     """Time a fixed piece of work, half of it Python's and half numpy's."""
-    matrix, numbers = np.eye(8) + 0.1, dict.fromkeys(range(64), 0)
+    matrix = np.eye(8) + 0.1
+    numbers = dict.fromkeys(range(64), 0)
     begun_ns = time.thread_time_ns()
     for k in range(2500):
         numbers[k & 63] = (numbers[k & 63] * 31 + k) % 1_000_003

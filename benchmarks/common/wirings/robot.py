@@ -101,7 +101,8 @@ def drive(
         currents[:, k], speeds[:, k] = states.T
         battery_v[k] = battery.open_v - battery.resistance * float(duty[:, k] @ states[:, 0])
         for j, (wheel, (decay, gain)) in enumerate(zip(wheels, moves, strict=True)):
-            volt, state = duty[j, k] * battery_v[k], states[j]
+            volt = duty[j, k] * battery_v[k]
+            state = states[j]
             for _ in range(STEPS):
                 drag = _drag(wheel, state)
                 after = decay @ state + gain @ np.array([volt, -drag])

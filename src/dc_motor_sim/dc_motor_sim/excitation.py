@@ -121,9 +121,13 @@ def parse_excitation(text: str) -> Excitation:
     name = scanner.match(r'table_5_1/[1-8](?!\d)')
     if name is not None:
         table_entry = parse_excitation(TABLE_5_1[name])
-        base, sines, noise = table_entry.base, list(table_entry.sines), table_entry.noise
+        base = table_entry.base
+        sines = list(table_entry.sines)
+        noise = table_entry.noise
     else:
-        base, sines, noise = _parse_base(scanner), [], None
+        base = _parse_base(scanner)
+        sines = []
+        noise = None
     while scanner.match(r'\+') is not None:
         addend = _parse_addend(scanner)
         if isinstance(addend, Sine):

@@ -188,11 +188,14 @@ class Plant:
             voltage_v: Its voltage, or theirs.
             tanh: Of numbers, or of arrays.
         """
-        L, R, K, Kt, Kb = (
-            motor.inductance, motor.resistance, motor.hysteresis, motor.torque_constant,
-            motor.back_emf_constant,
-        )  # fmt: skip
-        V_b, J, b = motor.brush_drop, motor.inertia, motor.viscous_friction
+        L = motor.inductance
+        R = motor.resistance
+        K = motor.hysteresis
+        Kt = motor.torque_constant
+        Kb = motor.back_emf_constant
+        V_b = motor.brush_drop
+        J = motor.inertia
+        b = motor.viscous_friction
         T_c, T_load = motor.coulomb_friction, motor.load_torque
         has_brushes = self._brushes
 

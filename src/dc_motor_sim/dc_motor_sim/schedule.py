@@ -59,7 +59,8 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
             f'schedule entry {text!r} is neither MOTOR.PARAMETER=VALUE@SECONDS '
             'nor MOTOR.PARAMETER=FIRST..LAST@BEGIN..END'
         )
-    motor, parameter = match['motor'], match['parameter']
+    motor = match['motor']
+    parameter = match['parameter']
     if motor not in motors:
         raise ScheduleError(
             f'schedule entry {text!r}: no motor {motor!r}; motors: {", ".join(motors)}'

@@ -34,7 +34,9 @@ def bogacki_shampine_step(derivative: Derivative, state: State, step_s: float) -
     Source: P. Bogacki and L. F. Shampine, "A 3(2) pair of Runge-Kutta formulas", Applied
     Mathematics Letters 2 (1989) 321-325, without the embedded error estimate.
     """
-    half_s, three_quarters_s, ninth_s = 0.5 * step_s, 0.75 * step_s, step_s / 9.0
+    half_s = 0.5 * step_s
+    three_quarters_s = 0.75 * step_s
+    ninth_s = step_s / 9.0
     k1 = derivative(*state)
     k2 = derivative(*[x + half_s * k for x, k in zip(state, k1, strict=True)])
     k3 = derivative(*[x + three_quarters_s * k for x, k in zip(state, k2, strict=True)])

@@ -340,7 +340,8 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(peer, 
     path = tmp_path / 'shared.yaml'
     own = 'motors: [m_1]\n    duration_s: 0.1\n    m_1: {resistance: 2.0}\n'
     others = '    m_2: {resistance: 3.0}\n    gap_s: 1.0\n    m_1.initial.resistance: 1.0\n'
-    codes, said = [], []
+    codes = []
+    said = []
     for text in (own + others, own + '    m_1.resistence: 2.0\n'):
         path.write_text(f'/**:\n  ros__parameters:\n    {text}')
         code, _, err = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)

@@ -11,7 +11,8 @@ from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import JOINT_STATE_HASH, built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions, BagWriter
 
-VOLTAGE, TORQUE = '/motor/voltage', '/motor/torque'
+VOLTAGE = '/motor/voltage'
+TORQUE = '/motor/torque'
 START_NS = 1_000_000_000
 STEP_NS = 10_000_000
 

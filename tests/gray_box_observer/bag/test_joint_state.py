@@ -69,7 +69,9 @@ def big_endian(message: dict) -> bytes:
 
 
 def test_random_messages_decode_as_mcap_ros2_decodes_them_in_both_byte_orders():
-    reference, fast, generator = reference_decoder(), JointStateDecoder(), random.Random(1)
+    reference = reference_decoder()
+    fast = JointStateDecoder()
+    generator = random.Random(1)
     for _ in range(400):
         message = random_message(generator)
         for data in (encode_joint_state(**message), big_endian(message)):
@@ -173,7 +175,8 @@ def test_a_stamp_that_no_message_can_carry_is_refused():
 
 @pytest.mark.parametrize('text', ['names', 'frame_id'])
 def test_ever_new_messages_with_very_long_texts_do_not_fill_the_memory(text):
-    decode, size = JointStateDecoder(), 2_000_000
+    decode = JointStateDecoder()
+    size = 2_000_000
     tracemalloc.start()
     try:
         for k in range(4):
@@ -190,7 +193,8 @@ def test_ever_new_messages_with_very_long_texts_do_not_fill_the_memory(text):
 
 @pytest.mark.slow
 def test_ever_new_lists_of_very_many_names_do_not_fill_the_memory():
-    decode, count = JointStateDecoder(), 30_000
+    decode = JointStateDecoder()
+    count = 30_000
     tracemalloc.start()
     try:
         for k in range(6):

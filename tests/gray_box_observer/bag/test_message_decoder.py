@@ -166,7 +166,8 @@ def test_entries_of_sequences_are_counted_before_they_are_made() -> None:
 
 def test_the_values_of_sequences_in_sequences_are_counted_together() -> None:
     definition = f'Row[] rows{SEPARATOR}Row\nPart[] parts{SEPARATOR}Part\n' + 'uint8 x'
-    row_count, part_count = 30, 10_000
+    row_count = 30
+    part_count = 10_000
     row = struct.pack('<I', part_count) + bytes(part_count)
     data = LITTLE + struct.pack('<I', row_count) + row * row_count
     with pytest.raises(ValueError, match=f'more than {MOST_MESSAGE_VALUES} values'):

@@ -19,7 +19,8 @@ class Replay:
         self.passed: list[tuple[int, float]] = []
         self.ticks: list[int] = []
         self._changed = threading.Condition()
-        self._pacer, self._times_ns = pacer, times_ns
+        self._pacer = pacer
+        self._times_ns = times_ns
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 

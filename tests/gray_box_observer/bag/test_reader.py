@@ -15,7 +15,8 @@ from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions
 from gray_box_observer.errors import BagError
 
-VOLTAGE, TORQUE = '/motor/voltage', '/motor/torque'
+VOLTAGE = '/motor/voltage'
+TORQUE = '/motor/torque'
 
 
 def write_with_mcap(path: Path, log_times: list[int], **options: object) -> None:
@@ -266,7 +267,8 @@ def test_a_missing_file_costs_only_its_own_messages(make_bag):
 
 
 def test_a_file_with_fewer_messages_than_the_metadata_says_is_told(make_bag):
-    folder, shorter = make_bag(50), make_bag(30, 'shorter')
+    folder = make_bag(50)
+    shorter = make_bag(30, 'shorter')
     (shorter / 'shorter_0.mcap').replace(folder / 'run_0.mcap')
     with BagReader(folder) as bag:
         assert len(list(bag.messages())) == 60
@@ -274,7 +276,8 @@ def test_a_file_with_fewer_messages_than_the_metadata_says_is_told(make_bag):
 
 
 def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
-    folder, other = make_bag(5), make_bag(7, 'other')
+    folder = make_bag(5)
+    other = make_bag(7, 'other')
     for name in ('../other/other_0.mcap', str(other / 'other_0.mcap')):
         (folder / 'metadata.yaml').write_text(METADATA.format(name))
         with pytest.raises(BagError, match=r"'other_0.mcap', listed in metadata.yaml, is missing"):
@@ -282,8 +285,10 @@ def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
 
 
 def test_a_link_that_leads_out_of_the_folder_is_not_read_and_one_inside_is(make_bag, tmp_path):
-    folder, other = make_bag(80, options=BagOptions(max_file_duration_s=0.2)), make_bag(70, 'other')
-    first, second = folder / 'run_0.mcap', folder / 'run_1.mcap'
+    folder = make_bag(80, options=BagOptions(max_file_duration_s=0.2))
+    other = make_bag(70, 'other')
+    first = folder / 'run_0.mcap'
+    second = folder / 'run_1.mcap'
     first.rename(folder / 'kept.bin')
     first.symlink_to('kept.bin')
     with BagReader(folder) as bag:

@@ -62,7 +62,8 @@ def saved(tmp_path: Path, recording: Recording) -> Path:
 def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     tmp_path: Path, recording: Recording, rule: str
 ) -> None:
-    one, other = observer(context_update=rule), observer(context_update=rule, seed=77)
+    one = observer(context_update=rule)
+    other = observer(context_update=rule, seed=77)
     feed(one, recording, 0, 1010)
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
@@ -76,7 +77,8 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     for sample in samples:
         changed = [o.group_of('motor').observer.context_nodes.learn(sample) for o in (one, other)]
         assert changed[0] == changed[1]
-    on, again = one.estimates()['motor'], other.estimates()['motor']
+    on = one.estimates()['motor']
+    again = other.estimates()['motor']
     assert (
         on.value.tobytes() + on.covariance.tobytes()
         == again.value.tobytes() + again.covariance.tobytes()
@@ -95,7 +97,9 @@ def test_whoever_goes_on_from_a_checkpoint_is_no_less_certain_wherever_it_was_cu
         recording.torque_nm[0, cut + 20] += (
             3e-4  # the state it goes on from was measured three deviations off
         )
-        one, other, never_ended = observer(), observer(), observer()
+        one = observer()
+        other = observer()
+        never_ended = observer()
         feed(one, recording, 0, cut)
         save(one, tmp_path / 'c.safetensors')
         load(other, tmp_path / 'c.safetensors')
@@ -170,7 +174,8 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
 def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
     tmp_path: Path, recording: Recording, training: Any
 ) -> None:
-    one, other = observer(training), observer(training, freeze=True)
+    one = observer(training)
+    other = observer(training, freeze=True)
     feed(one, recording, 0, 1500)
     assert one.estimate_of('motor')[1]
     save(one, tmp_path / 'c.safetensors')
@@ -249,7 +254,8 @@ def no_space(*_: Any) -> None:
 def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
     saved: Path, recording: Recording, fails: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    old, one = saved.read_bytes(), observer()
+    old = saved.read_bytes()
+    one = observer()
     feed(one, recording, 0, 100)
     monkeypatch.setattr(fails, no_space)
     with pytest.raises(
@@ -281,7 +287,8 @@ def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def garbage() -> dict[str, bytes]:
-    array, archive = io.BytesIO(), io.BytesIO()
+    array = io.BytesIO()
+    archive = io.BytesIO()
     np.save(array, np.zeros(3))
     np.savez(archive, a=np.zeros(3))
     return {
@@ -374,7 +381,8 @@ def feed_early(
 def test_an_estimated_delay_stays_in_force_after_loading(
     tmp_path: Path, recording: Recording
 ) -> None:
-    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 'estimate'})
+    one = observer(**{'motor.delay': 'estimate'})
+    other = observer(**{'motor.delay': 'estimate'})
     feed_early(one, recording, 0, 1500, 53_000_000)
     applied_s = one.delays()['motor'].applied_s
     assert applied_s == pytest.approx(0.053, abs=1e-3)
@@ -394,7 +402,8 @@ def test_an_estimated_delay_stays_in_force_after_loading(
 def test_a_delay_that_is_declared_stands_whatever_was_saved(
     tmp_path: Path, recording: Recording
 ) -> None:
-    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 0.02})
+    one = observer(**{'motor.delay': 'estimate'})
+    other = observer(**{'motor.delay': 0.02})
     feed_early(one, recording, 0, 1500, 53_000_000)
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
@@ -436,7 +445,8 @@ def test_inline_training_goes_on_bit_for_bit(
     tmp_path: Path, recording: Recording, at: int, variant: str
 ) -> None:
     options = HARD if variant == 'physics' else {**SMALL, 'variant': variant}
-    one, other = observer(InlineTraining, **options), observer(InlineTraining, **options)
+    one = observer(InlineTraining, **options)
+    other = observer(InlineTraining, **options)
     feed(one, recording, 0, at)
     save(one, tmp_path / 'c')
     load(other, tmp_path / 'c')
@@ -467,7 +477,8 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(
 ) -> None:
     lagging = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.001, speed_mode='rotor')
     options = {**HARD, 'training.replay_capacity': 1024, 'training.segments': 2}
-    one, other = observer(InlineTraining, **options), observer(InlineTraining, **options)
+    one = observer(InlineTraining, **options)
+    other = observer(InlineTraining, **options)
     feed(one, lagging, 0, 2210)
     save(one, tmp_path / 'c')
     load(other, tmp_path / 'c')

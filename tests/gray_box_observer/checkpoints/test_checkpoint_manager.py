@@ -72,9 +72,11 @@ def keeper(path: Path, automatic: bool = True) -> CheckpointKeeper:
 def test_a_snapshot_stays_what_it_was_while_learning_goes_on(
     recording: Recording, path: Path
 ) -> None:
-    one, other = observer(), observer()
+    one = observer()
+    other = observer()
     feed(one, recording, 0, 1000)
-    snapshot, before = capture(one), learnt(one)
+    snapshot = capture(one)
+    before = learnt(one)
     feed(one, recording, 1000, 2000)
     checkpoint.write(snapshot, path)
     checkpoint.load(other, path)
@@ -85,7 +87,8 @@ def test_a_snapshot_stays_what_it_was_while_learning_goes_on(
 def test_a_restarted_observer_continues_where_the_last_one_was(
     recording: Recording, path: Path
 ) -> None:
-    one, other = observer(), observer()
+    one = observer()
+    other = observer()
     feed(one, recording, 0, 1000)
     assert keeper(path).close(one) is None
     resumed = keeper(path).resume(other)
@@ -140,7 +143,9 @@ KINDS = (
 def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_observer_can_be_used(
     recording: Recording, path: Path, kind: str
 ) -> None:
-    one, other, fresh = observer(), observer(), observer()
+    one = observer()
+    other = observer()
+    fresh = observer()
     feed(one, recording, 0, 500)
     save(one, path)
     bad = not_ours(path.read_bytes())
@@ -183,7 +188,8 @@ def test_the_file_is_kept_up_to_date_only_where_asked_to_and_only_with_news(
     recording: Recording, path: Path
 ) -> None:
     one = observer()
-    automatic, manual = keeper(path), keeper(path, automatic=False)
+    automatic = keeper(path)
+    manual = keeper(path, automatic=False)
     automatic.keep(None)
     automatic.keep(one)  # nothing learnt yet
     feed(one, recording, 0, 500)
@@ -256,7 +262,10 @@ def snapshot(number: int) -> Snapshot:
 def test_the_newest_snapshot_takes_the_place_of_those_that_wait(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, go_on, real, seen = threading.Event(), threading.Event(), checkpoint.write, []
+    begun = threading.Event()
+    go_on = threading.Event()
+    real = checkpoint.write
+    seen = []
 
     def slow(one: Snapshot, to: Path) -> None:
         seen.append(json.loads(one.content)['number'])
@@ -314,10 +323,8 @@ def test_a_writer_that_never_wrote_has_nothing_to_end() -> None:
 
 def test_what_killed_writers_left_is_swept_up_and_what_others_write_is_not(path: Path) -> None:
     old, young = (path.with_name(f'.{path.name}.{32 * digit}{PARTIAL}') for digit in '01')
-    other, named = (
-        path.with_name(f'.other.{32 * "0"}{PARTIAL}'),
-        path.with_name(f'.{path.name}.mine{PARTIAL}'),
-    )
+    other = path.with_name(f'.other.{32 * "0"}{PARTIAL}')
+    named = path.with_name(f'.{path.name}.mine{PARTIAL}')
     for scrap in (old, young, other, named):
         scrap.write_bytes(b'half a che')
     for scrap in (old, other, named):
@@ -362,7 +369,8 @@ def test_what_is_no_checkpoint_of_ours_is_told_of_and_never_replaced_renamed_or_
     feed(one, recording, 0, 500)
     other = path.with_name('other.safetensors')
     save(one, other)
-    kept, before = other.read_bytes(), learnt(one)
+    kept = other.read_bytes()
+    before = learnt(one)
     strange(path)[kind]()
     stood = path.lstat()
     kept_by = keeper(path)
@@ -473,11 +481,10 @@ def test_absurd_content_under_a_right_checksum_is_refused_by_name_and_nothing_is
 ) -> None:
     one = observer()
     feed(one, recording, 0, 500)
-    snapshot, before = capture(one), learnt(one)
-    content, arrays = (
-        json.loads(snapshot.content),
-        {name: array.copy() for name, array in snapshot.arrays.items()},
-    )
+    snapshot = capture(one)
+    before = learnt(one)
+    content = json.loads(snapshot.content)
+    arrays = {name: array.copy() for name, array in snapshot.arrays.items()}
     spoil, message = ABSURD[what]
     spoil(
         content['motors']['motor'],

@@ -153,7 +153,8 @@ def test_what_is_restored_goes_on_bit_for_bit(
     at: int,
 ) -> None:
     samples = samples_of(record(duration_s=20.0, torque_noise_relative=0.01))
-    nodes, twin = rule(thesis_box, THREE_TIMES_OFF, 3), rule(thesis_box, TRUTH, 99)
+    nodes = rule(thesis_box, THREE_TIMES_OFF, 3)
+    twin = rule(thesis_box, TRUTH, 99)
     teach(nodes, samples[:at])
     twin.restore(*nodes.state())
     on, again = (teach(one, samples[at:]) for one in (nodes, twin))
@@ -213,8 +214,10 @@ def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
     rule: Rule, thesis_box: MotorWhiteBox
 ) -> None:
     simulation = Simulation({'m': PlantParameters()}, 'external', torque_noise_std=5e-4, seed=2)
-    random, samples = np.random.default_rng(2), []
-    previous_v, command = 0.0, 10.0
+    random = np.random.default_rng(2)
+    samples = []
+    previous_v = 0.0
+    command = 10.0
     for k in range(14_000):
         if k < 4000 and k % 100 == 0:
             command = float(random.uniform(5.0, 15.0))
@@ -369,10 +372,13 @@ def rotor_samples() -> Samples:
     simulation = Simulation(
         {'m': plant}, 'R[-12,12]D[0.05,0.3]', seed=4, speed_mode='rotor', sample_rate_hz=1000.0
     )
-    r, samples = simulation.record(6.0), []
+    r = simulation.record(6.0)
+    samples = []
     for k, stamp in enumerate(r.stamp_ns.tolist()):
-        held_v, interval_s = float(r.voltage_v[0, max(k - 1, 0)]), 1e-3 if k else 0.0
-        torque, speed = float(r.torque_nm[0, k]), float(r.speed_rad_s[0, k])
+        held_v = float(r.voltage_v[0, max(k - 1, 0)])
+        interval_s = 1e-3 if k else 0.0
+        torque = float(r.torque_nm[0, k])
+        speed = float(r.speed_rad_s[0, k])
         samples.append(Sample.of_one_motor(stamp, interval_s, held_v, torque, speed))
     return samples
 

@@ -49,7 +49,8 @@ def _blocked(
     voltage: np.ndarray, step_s: float, inductance: float, resistance: float
 ) -> np.ndarray:
     """Current of a motor without hysteresis that does not turn."""
-    decay, current = np.exp(-step_s * resistance / inductance), np.zeros(voltage.size + 1)
+    decay = np.exp(-step_s * resistance / inductance)
+    current = np.zeros(voltage.size + 1)
     for k, volt in enumerate(voltage):
         current[k + 1] = volt / resistance + (current[k] - volt / resistance) * decay
     return current
@@ -67,7 +68,8 @@ def _nobody_is_known(estimate: Estimate) -> bool:
 
 
 def test_hysteresis_that_is_truly_zero_becomes_negligible_and_the_motor_identified() -> None:
-    rng, voltage = np.random.default_rng(0), _levels(4000, 0)
+    rng = np.random.default_rng(0)
+    voltage = _levels(4000, 0)
     current = np.zeros(voltage.size + 1)
     turning = 100.0 * np.sin(np.arange(voltage.size) / 300.0)  # somebody else drives the rotor
     decay = np.exp(-0.2)
@@ -122,7 +124,8 @@ def test_a_motor_that_has_rested_is_identified_once_it_moves() -> None:
 def test_a_rotor_that_gathers_speed_at_one_voltage_is_not_taken_for_an_inductance(
     noise: float, begin: int
 ) -> None:
-    rng, samples = np.random.default_rng(1), np.arange(3001)
+    rng = np.random.default_rng(1)
+    samples = np.arange(3001)
     current = 0.25 + 0.7 * np.exp(-samples / 350.0) - 0.95 * np.exp(-samples / 0.15)
     voltage = 8.0 * (1.0 + noise * rng.standard_normal(3000))
     measured = (current + 0.005 * rng.standard_normal(3001))[begin:]
@@ -140,7 +143,8 @@ def test_resistance_and_back_emf_that_no_data_tell_apart_are_not_identified_on_w
 ) -> None:
     plant = PlantParameters(**({} if 'hysteresis' in names else {'hysteresis': 0.0}))
     record = Simulation({'m': plant}, 'R[5,15]D[0.001,2]', seed=seed).record(26.0)
-    rng, current = np.random.default_rng(seed), record.torque_nm[0] / 0.01
+    rng = np.random.default_rng(seed)
+    current = record.torque_nm[0] / 0.01
     noisy = current + 0.01 * current.std() * rng.standard_normal(current.size)
     start = (*START[: len(names) - 1], 30.0)
     speed = record.speed_rad_s[0]

@@ -28,7 +28,8 @@ def held_on(
     last: Sample, seconds: float, noise_nm: float, seed: int, resistance: float = 1.0
 ) -> list[Sample]:
     """The thesis's motor under the last sample's voltage for ever: steady torque in noise."""
-    volt, random = float(last.voltage_v[0]), np.random.default_rng(seed)
+    volt = float(last.voltage_v[0])
+    random = np.random.default_rng(seed)
     total = resistance + 1e-4  # V = (R + Kb Kt) i + K_HS Kt i^2
     current_a = (-total + np.sqrt(total**2 + 0.4 * volt)) / 0.2
     noise = noise_nm * random.standard_normal(round(seconds * 100.0))
@@ -130,7 +131,8 @@ def test_what_was_at_rest_is_identified_as_soon_as_it_moves(
     record: Callable[..., Recording], samples_of: Callable[..., Samples], rest_s: float
 ) -> None:
     moving = list(samples_of(record('R[5,15]D[1,20]', 60.0, 2, torque_noise_relative=0.01)))
-    never_at_rest, rested = from_elsewhere(), from_elsewhere()
+    never_at_rest = from_elsewhere()
+    rested = from_elsewhere()
     teach(rested, at_rest(float(moving[0].voltage_v[0]) + 3.0, rest_s, 3))
     offset_ns = round((rest_s + 1.0) * 1e9)
     late = [sample._replace(stamp_ns=sample.stamp_ns + offset_ns) for sample in moving]

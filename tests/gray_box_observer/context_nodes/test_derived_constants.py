@@ -10,7 +10,8 @@ from gray_box_observer.context_nodes.derived_constants import derived_constants
 from gray_box_observer.white_box import MotorWhiteBox
 
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
-KT, KB = 0.02, 0.03
+KT = 0.02
+KB = 0.03
 THETA = np.array([4e-3, 2.0, 1e-5, 2e-5, 8e-3])
 ROTOR = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
 

@@ -9,7 +9,8 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 
-VISCOUS, COULOMB = 3, 4
+VISCOUS = 3
+COULOMB = 4
 
 
 def learnt(viscous: float, coulomb: float, excitation: str = 'R[-12,12]D[0.05,0.5]') -> RotorUpdate:

@@ -78,7 +78,8 @@ def test_frozen_goes_before_every_other_verdict() -> None:
 
 
 def test_a_motor_is_identified_when_all_its_parameters_are() -> None:
-    good, bad = (Verdict.IDENTIFIED, Verdict.IDENTIFIED), (Verdict.IDENTIFIED, Verdict.CONVERGING)
+    good = (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+    bad = (Verdict.IDENTIFIED, Verdict.CONVERGING)
     estimate = Estimate(0, (PARAMETER,) * 2, np.ones((2, 2)), np.ones((2, 2, 2)), (good, bad))
     assert [estimate.identified(motor) for motor in range(2)] == [True, False]
 

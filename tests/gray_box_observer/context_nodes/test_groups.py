@@ -32,7 +32,8 @@ def samples() -> list[Sample]:
     r = Simulation(plants, excitation, seed=3, torque_noise_std=1e-4, schedule=schedule).record(
         30.0
     )
-    random, made = np.random.default_rng(1), []
+    random = np.random.default_rng(1)
+    made = []
     torque = r.torque_nm.copy()
     torque[DISTURBED, random.choice(np.arange(300, 3000), 60, replace=False)] *= 1.5
     present = np.ones((r.stamp_ns.size, MOTORS), dtype=bool)
@@ -68,7 +69,8 @@ def learnt_by(nodes: RecursiveEstimator, samples: list[Sample]) -> list[list[byt
 @pytest.fixture(scope='module')
 def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveEstimator]]:
     """What each motor learns alone, a sample where it was absent left out."""
-    taken, rules = [], []
+    taken = []
+    rules = []
     for motor in range(MOTORS):
         chosen = slice(motor, motor + 1)
         nodes = RecursiveEstimator(BOX.of_motors(chosen), START[chosen])
@@ -163,13 +165,15 @@ def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
 
 def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
     """Fast and slow motors with stepped voltages and loads, torque outliers; physics, start."""
-    random, motors = np.random.default_rng(seed), 5
+    random = np.random.default_rng(seed)
+    motors = 5
     inductance = np.array([0.5, 0.02, 0.3, 0.5, 0.1])
     box = MotorWhiteBox(
         NAMES, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, speed_measured
     )
     start = np.column_stack([3.0 * inductance, np.full(motors, 3.0), np.full(motors, 30.0)])
-    (current, voltage, speed), samples = np.zeros((3, motors)), []
+    (current, voltage, speed) = np.zeros((3, motors))
+    samples = []
     for k in range(400):
         before, speed = speed, random.uniform(-0.3, 0.3, motors)
         for step in range(20):
@@ -180,7 +184,8 @@ def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, l
                 voltage - current - 10.0 * np.abs(driven) * current - 0.01 * driven
             )
         torque = 0.01 * current * np.where(random.random(motors) < 0.04, 1.3, 1.0)
-        interval, noise = np.full(motors, 0.01 if k else 0.0), random.normal(0.0, 2e-4, motors)
+        interval = np.full(motors, 0.01 if k else 0.0)
+        noise = random.normal(0.0, 2e-4, motors)
         samples.append(Sample(k * 10_000_000, interval, voltage, torque + noise, speed))
         voltage = random.uniform(2.0, 15.0, motors) if random.random() < 0.05 else voltage
     return box, start, samples

@@ -140,7 +140,8 @@ def joint_estimates(seed: int, count: int, noise_nm: float = 2.5e-4) -> Iterator
     )  # fmt: skip
     known = {'motor.torque_constant': 0.0108, 'motor.back_emf_constant': 0.0108}
     observer = Observer(Configuration.from_flat(known), None)
-    rng, interval_s = np.random.default_rng(seed), 1e-3
+    rng = np.random.default_rng(seed)
+    interval_s = 1e-3
     goal_rad = reference_rad = angle_rad = reference_rad_s = speed_rad_s = integral_v = 0.0
     next_goal = 0
     for k in range(count):
@@ -244,7 +245,9 @@ def test_at_the_end_what_has_come_of_a_noisy_speed_is_fitted() -> None:
 @pytest.mark.slow
 def test_the_present_motor_begins_where_its_speed_was_doubted_whatever_window_is_fitted() -> None:
     """It tells that the motor is the same; what counts begins with every window anew."""
-    update, places, begins = rule(), set(), set()
+    update = rule()
+    places = set()
+    begins = set()
     for sample in readings('noisy', 6.0):
         update.learn(sample)
         if update.is_noisy:
@@ -262,7 +265,8 @@ def test_the_present_motor_begins_where_its_speed_was_doubted_whatever_window_is
 @pytest.mark.slow
 def test_a_motor_that_has_changed_is_not_believed_while_another_explanation_is_searched() -> None:
     """The search takes a second of samples, and what it began with stands meanwhile."""
-    samples, update = readings('noisy', 6.0), rule()
+    samples = readings('noisy', 6.0)
+    update = rule()
     for sample in samples[:3072]:
         update.learn(sample)
     assert update.is_noisy
@@ -366,7 +370,9 @@ def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
     path = run(KT, coordinates(BOX, THETA), np.zeros(2), volts, interval, limits, load)
     current = path.states[:, 0] + rng.normal(0.0, 0.02, count + 1)
     content = np.zeros((4, count + 1))
-    content[0, 1:], content[1, 1:], content[2] = interval, volts, KT * current
+    content[0, 1:] = interval
+    content[1, 1:] = volts
+    content[2] = KT * current
     fit = fitted(window_of(content, noisy(path.states[:, 1], 0.01)))
     assert fit.explains
     assert fit.walk > 0.0
@@ -404,7 +410,8 @@ def observed(samples: list[Sample]) -> tuple[Any, str]:
     volts = [float(sample.voltage_v[0]) for sample in samples[1:]]
     for sample, volt in zip(samples, [*volts, 0.0], strict=True):
         observer.voltage('motor', sample.stamp_ns, volt)
-        torque, speed = float(sample.torque_nm[0]), float(sample.speed_rad_s[0])
+        torque = float(sample.torque_nm[0])
+        speed = float(sample.speed_rad_s[0])
         observer.torque('motor', sample.stamp_ns, torque, speed)
     return observer.estimates()['motor'], observer.fit('motor').verdict.value
 
@@ -439,7 +446,8 @@ def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
 
 @pytest.mark.slow
 def test_a_fit_of_both_outputs_under_way_goes_on_bit_for_bit_where_it_is_restored() -> None:
-    one, restored = rule(), []
+    one = rule()
+    restored = []
     for k, sample in enumerate(readings('noisy')):
         changed = one.learn(sample)
         assert all(other.learn(sample) == changed for other in restored)
@@ -505,7 +513,8 @@ def test_of_samples_of_the_past_it_is_asked_at_once_whether_the_speed_is_late(
 ) -> None:
     samples = readings(sensor)[:1024]
     content = content_with_speed(sensor)
-    asked, unasked = rule(), rule()
+    asked = rule()
+    unasked = rule()
     completed(asked.learn_remembered(content, samples[-1], asks_speed=True))
     completed(unasked.learn_remembered(content, samples[-1], asks_speed=False))
     assert asked.is_noisy == is_noisy

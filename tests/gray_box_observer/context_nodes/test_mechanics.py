@@ -160,7 +160,8 @@ def learnt(update: MeasuredSpeedUpdate, load: str, places: range) -> MeasuredSpe
     samples = readings(load)
     for place in places:
         stamp_ns, _, torque, speed = samples[place]
-        volt, interval_s = samples[max(place - 1, 0)][1], 1e-3 if place else 0.0
+        volt = samples[max(place - 1, 0)][1]
+        interval_s = 1e-3 if place else 0.0
         update.learn(Sample.of_one_motor(stamp_ns, interval_s, volt, torque, speed))
     return update
 
@@ -168,7 +169,8 @@ def learnt(update: MeasuredSpeedUpdate, load: str, places: range) -> MeasuredSpe
 @pytest.mark.slow
 @pytest.mark.parametrize('load', ['none', 'slow'])
 def test_what_is_restored_goes_on_bit_for_bit(load: str) -> None:
-    one, other = learnt(rule(), load, range(1100)), rule()
+    one = learnt(rule(), load, range(1100))
+    other = rule()
     plain, arrays = one.state()
     other.restore(plain, {name: array.copy() for name, array in arrays.items()})
     for places in (range(0), range(1100, 1400)):

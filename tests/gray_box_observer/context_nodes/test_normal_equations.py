@@ -66,7 +66,8 @@ def test_singular_equations_have_no_solution() -> None:
 
 
 def test_a_logarithm_bends_only_where_data_and_prior_pull_against_each_other() -> None:
-    towards_prior, right = np.array([2.0, 2.0, 2.0, -2.0]), np.array([-3.0, -1.0, 1.0, -1.0])
+    towards_prior = np.array([2.0, 2.0, 2.0, -2.0])
+    right = np.array([-3.0, -1.0, 1.0, -1.0])
     found = logarithmic_curvature(towards_prior, right)
     np.testing.assert_array_equal(found, [2.0, 1.0, 0.0, 0.0])
 

@@ -36,7 +36,8 @@ def test_work_may_be_done_at_once() -> None:
 
 @pytest.mark.parametrize(('most', 'result', 'pieces'), [(2999, None, 3), (3000, 'done', 3)])
 def test_work_that_takes_too_much_is_given_up(most: int, result: str | None, pieces: int) -> None:
-    job, done = bounded(work(3), most), 0
+    job = bounded(work(3), most)
+    done = 0
     while True:
         try:
             done += next(job)
@@ -46,7 +47,9 @@ def test_work_that_takes_too_much_is_given_up(most: int, result: str | None, pie
 
 
 def test_a_sample_does_no_more_than_its_share_beside_one_piece() -> None:
-    budget, job, done = WorkBudget(), work(10_000), 0
+    budget = WorkBudget()
+    job = work(10_000)
+    done = 0
     for samples in range(1, 2001):
         budget.grant(1e-3)
         before = budget.credit
@@ -58,7 +61,8 @@ def test_a_sample_does_no_more_than_its_share_beside_one_piece() -> None:
 
 
 def test_a_piece_that_is_too_large_is_paid_for_by_later_samples() -> None:
-    budget, job = WorkBudget(), work(3, 2 * SAVED)
+    budget = WorkBudget()
+    job = work(3, 2 * SAVED)
     samples = 0
     while not budget.advance(job)[0]:
         budget.grant(1e-3)
@@ -109,7 +113,8 @@ def test_a_fit_under_way_goes_on_bit_for_bit_where_it_is_restored() -> None:
 def test_the_estimate_stays_until_a_fit_has_ended() -> None:
     samples = samples_of(recorded(duration_s=1.2))
     update = RotorUpdate(BOX, INITIAL)
-    before, waited = update.theta.tobytes(), 0
+    before = update.theta.tobytes()
+    waited = 0
     for sample in samples:
         if update.learn(sample):
             break

@@ -6,6 +6,7 @@ import ctypes
 import shutil
 from collections.abc import Callable
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,8 @@ class Count:
     def watch(self, nodes: RecursiveEstimator) -> None:
         """Count what these context nodes do."""
         updater = nodes._updater
-        within, of_these = updater.learn_due, updater.learn_regular
+        within = updater.learn_due
+        of_these = updater.learn_regular
 
         def count(status: np.ndarray) -> None:
             self.given += status.size
@@ -74,7 +76,8 @@ def both(
         assert quick.learn(sample) == by_numpy.learn(sample)
         np.testing.assert_array_equal(quick.changed, by_numpy.changed)
         np.testing.assert_allclose(quick.theta, by_numpy.theta, rtol=1e-7)
-    one, other = quick.estimate(), by_numpy.estimate()
+    one = quick.estimate()
+    other = by_numpy.estimate()
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-30)
     assert quick.counters() == by_numpy.counters()
     return quick, by_numpy, count
@@ -86,8 +89,10 @@ def simulated(
 ) -> list[Sample]:  # fmt: skip
     """Samples at 100 Hz of motors that run alike, each with its own noise."""
     r = Simulation({'m': PlantParameters(**plant)}, excitation, seed=2).record(duration_s)
-    random, torque = np.random.default_rng(3), r.torque_nm[0]
-    std, last = noise * float(np.abs(torque).max()), r.stamp_ns.size - 1
+    random = np.random.default_rng(3)
+    torque = r.torque_nm[0]
+    std = noise * float(np.abs(torque).max())
+    last = r.stamp_ns.size - 1
     drawn = torque[:, None] + random.normal(0.0, std, (torque.size, motors))
     measured = r.speed_rad_s[0] if speed else np.full(torque.size, np.nan)
     return [
@@ -109,7 +114,8 @@ def test_where_there_is_a_compiler_there_is_compiled_code() -> None:
 def test_every_term_is_compiled_as_it_is_declared() -> None:
     library = regular_block.library()
     assert library is not None
-    values, constant = (ctypes.c_double * 2)(), 0.3
+    values = (ctypes.c_double * 2)()
+    constant = 0.3
     for code, name in enumerate(TERMS):
         form = EFFECTS.get(name) if TERMS[name].state is State.CURRENT else None
         assert bool(library.term_values(code, 0, 1.0, 1.0, constant, values)) == (
@@ -136,9 +142,14 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
     declared = Parameter(
         'eddy', 'V/A^3', 1e-3, 1e-9, 1e3, 'A term that compiled code has never heard of.'
     )
-    slope, none = lambda i, w, c: 3.0 * i**2, lambda i, w, c: 0.0
+
+    def slope(i: Any, w: Any, c: Any) -> Any:
+        return 3.0 * i**2
+
     monkeypatch.setitem(TERMS, 'eddy', Term(declared, 'current**3'))
-    monkeypatch.setitem(EFFECTS, 'eddy', Form(lambda i, w, c: i**3, (slope, none), slope))
+    monkeypatch.setitem(
+        EFFECTS, 'eddy', Form(lambda i, w, c: i**3, (slope, lambda i, w, c: 0.0), slope)
+    )
     replay = ReplayBuffer(1, 128)
     assert RegularBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveSettings(), replay).compiled
     for box in (
@@ -155,7 +166,8 @@ def test_samples_that_are_not_in_memory_are_not_read(
     nodes = RecursiveEstimator(thesis_box, START)
     for sample in simulated('R[5,15]D[0.2,3]', 10.0):
         nodes.learn(sample)
-    state, index = nodes._state, np.zeros(1, dtype=int)
+    state = nodes._state
+    index = np.zeros(1, dtype=int)
     _, gone, _, _ = nodes.replay.streams
     gone[:] = state.position - column
     _, status = nodes._updater.learn_regular(state, index, nodes._schedule)
@@ -243,11 +255,10 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
 
 @pytest.mark.slow
 def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    box, rules = (
-        MotorWhiteBox(THESIS, 0.01, KNOWN),
-        RecursiveSettings(long_hold_s=5.0, replay_capacity=512),
-    )
-    moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
+    box = MotorWhiteBox(THESIS, 0.01, KNOWN)
+    rules = RecursiveSettings(long_hold_s=5.0, replay_capacity=512)
+    moving = simulated('R[5,15]D[0.2,3]', 30.0)
+    held = simulated('C[9]', 30.0)
     _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
     assert count.learnt > 0.9 * count.given
     plant = PlantParameters()
@@ -279,12 +290,11 @@ def disturbed(
         schedule=('motor.resistance=1.5@25',),
         sample_rate_hz=100.0,
     )
-    random, made = np.random.default_rng(5), []
+    random = np.random.default_rng(5)
+    made = []
     for k, sample in enumerate(samples_of(recording)):
-        torque, voltage = (
-            (1.5 if random.random() < 0.01 else 1.0),
-            (4.0 if random.random() < 0.01 else 0.0),
-        )
+        torque = 1.5 if random.random() < 0.01 else 1.0
+        voltage = 4.0 if random.random() < 0.01 else 0.0
         taken = Sample(
             sample.stamp_ns, sample.interval_s, sample.voltage_v + voltage,
             sample.torque_nm * torque, sample.speed_rad_s,
@@ -309,11 +319,14 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
 
 def gone_wrong(seed: int) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
     """A group in which nearly everything goes wrong: its physics, a start, samples."""
-    random, motors = np.random.default_rng(seed), 9
+    random = np.random.default_rng(seed)
+    motors = 9
     box = MotorWhiteBox(
         THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, bool(seed % 4)
     )
-    current, voltage, samples = np.zeros(motors), np.zeros(motors), []
+    current = np.zeros(motors)
+    voltage = np.zeros(motors)
+    samples = []
     for k in range(700):
         if random.random() < 0.05:
             voltage = random.uniform(-15.0, 15.0, motors)
@@ -377,7 +390,8 @@ def test_without_compiled_code_numpy_learns_everything(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(compiled, 'EXTENSION_SUFFIXES', ['.is-not-there'])
     assert regular_block.library() is None
-    nodes, count = RecursiveEstimator(thesis_box, START), Count()
+    nodes = RecursiveEstimator(thesis_box, START)
+    count = Count()
     count.watch(nodes)
     for sample in simulated('R[5,15]D[0.2,3]', 20.0):
         nodes.learn(sample)
@@ -407,7 +421,8 @@ def test_a_fit_that_a_block_makes_due_is_done_at_the_same_sample(
         block_updater, 'BLOCKS_PER_STEP', 2
     )  # so that the last ones come to their block when a fit is due too
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
-    nodes, late = RecursiveEstimator(box, START.repeat(motors, 0)), 0
+    nodes = RecursiveEstimator(box, START.repeat(motors, 0))
+    late = 0
     within = nodes._updater.learn_due
 
     def learn_due(state, schedule):  # type: ignore[no-untyped-def]

@@ -22,21 +22,26 @@ MOTORS = 200
 @pytest.fixture
 def nodes() -> RecursiveEstimator:
     """Context nodes of many motors with random beliefs, sharp to vague, some at a bound."""
-    random, count = np.random.default_rng(7), len(NODES)
+    random = np.random.default_rng(7)
+    count = len(NODES)
     box = MotorWhiteBox(NODES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(MOTORS, 0.01)})
     lower, upper = bounds(box.parameters)
     theta = np.exp(random.uniform(np.log(lower), np.log(upper), (MOTORS, count)))
-    theta[::7, 1], theta[3::7, 2], theta[5::7, 0] = upper[1], lower[2], 2.0 * upper[0]
+    theta[::7, 1] = upper[1]
+    theta[3::7, 2] = lower[2]
+    theta[5::7, 0] = 2.0 * upper[0]
     made = RecursiveEstimator(box, np.ones((MOTORS, count)))
     belief = made._state.belief
-    belief.p[:, 0], belief.p[:, 1:] = 1.0 / theta[:, 0], theta[:, 1:] / theta[:, :1]
+    belief.p[:, 0] = 1.0 / theta[:, 0]
+    belief.p[:, 1:] = theta[:, 1:] / theta[:, :1]
     belief.noise[:] = np.exp(random.uniform(-6.0, 0.0, MOTORS))
     shape = random.normal(size=(MOTORS, count + 1, count + 1))
     sharpness = np.exp(random.uniform(-14.0, -3.0, (MOTORS, 1, 1)))
     belief.covariance[:] = (
         sharpness * shape @ shape.swapaxes(1, 2) / belief.noise[:, None, None] ** 2
     )
-    made._state.share[::3, 2], made._state.reach[::3, 2] = 1e-3 / theta[::3, 2], 1e-3
+    made._state.share[::3, 2] = 1e-3 / theta[::3, 2]
+    made._state.reach[::3, 2] = 1e-3
     return made
 
 
@@ -58,7 +63,8 @@ def assert_same(one: Estimate, other: Estimate) -> None:
 
 @needs_it
 def test_estimates_are_those_of_numpy_to_the_last_bit(nodes: RecursiveEstimator) -> None:
-    told, wide = set(), 0
+    told = set()
+    wide = 0
     for motor in range(MOTORS):
         which = slice(motor, motor + 1)
         alone = nodes._compiled_values(np.array([motor]))
@@ -76,7 +82,8 @@ def test_estimates_are_those_of_numpy_to_the_last_bit(nodes: RecursiveEstimator)
 @needs_it
 def test_some_motors_are_told_of_as_all_are(nodes: RecursiveEstimator) -> None:
     nodes._state.belief.covariance[:] *= 1e-3
-    everyone, some = nodes.estimate(), np.array([3, 17, 18, 150])
+    everyone = nodes.estimate()
+    some = np.array([3, 17, 18, 150])
     assert nodes._regular.estimate(nodes._state.belief, None, nodes.verdict_rules) is not None
     assert_same(everyone, by_numpy(nodes))
     chosen = nodes.estimate(some)
@@ -87,7 +94,8 @@ def test_some_motors_are_told_of_as_all_are(nodes: RecursiveEstimator) -> None:
 @needs_it
 def test_what_was_told_stays_as_it_was_told(nodes: RecursiveEstimator) -> None:
     first = nodes.estimate(slice(0, 1))
-    value, covariance = first.value.copy(), first.covariance.copy()
+    value = first.value.copy()
+    covariance = first.covariance.copy()
     nodes._state.belief.p[:] *= 1.5
     nodes.estimate(slice(0, 1))
     np.testing.assert_array_equal(first.value, value)
@@ -118,10 +126,8 @@ def test_what_is_not_a_number_is_told_as_numpy_tells_it(nodes: RecursiveEstimato
     belief.p[2, 0] = np.inf
     with np.errstate(invalid='ignore', over='ignore'):
         for motor in range(3):
-            one, other = (
-                nodes.estimate(slice(motor, motor + 1)),
-                by_numpy(nodes, slice(motor, motor + 1)),
-            )
+            one = nodes.estimate(slice(motor, motor + 1))
+            other = by_numpy(nodes, slice(motor, motor + 1))
             np.testing.assert_array_equal(one.value, other.value)
             np.testing.assert_array_equal(one.covariance, other.covariance)
             assert one.verdicts == other.verdicts

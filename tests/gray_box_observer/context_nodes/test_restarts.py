@@ -29,8 +29,10 @@ def teach(nodes: RecursiveEstimator, samples: Samples) -> list[Estimate]:
 
 def test_the_variance_that_a_restart_leaves_is_that_of_a_kalman_filter() -> None:
     random = np.random.default_rng(4)
-    decay, restart = random.uniform(0.7, 1.0, (2, 60)), np.zeros((2, 60), dtype=bool)
-    restart[0, 5], restart[1, [0, 30, 59]] = True, True
+    decay = random.uniform(0.7, 1.0, (2, 60))
+    restart = np.zeros((2, 60), dtype=bool)
+    restart[0, 5] = True
+    restart[1, [0, 30, 59]] = True
     expected = np.zeros((2, 61))
     for motor in range(2):
         after = 0.0

@@ -37,7 +37,9 @@ def heat(record: Callable[..., Recording], samples_of: Callable[..., Samples]) -
 def test_whatever_is_restored_goes_on_bit_for_bit(
     heard: Callable[..., Samples], thesis_box: MotorWhiteBox, record: Any, samples_of: Any
 ) -> None:
-    samples, told, saved = heard(record, samples_of), [], {}
+    samples = heard(record, samples_of)
+    told = []
+    saved = {}
     one = RecursiveEstimator(thesis_box, START, rules=SHORT)
     for k, sample in enumerate(samples):
         if k > 150 and k % 97 == 0:
@@ -74,7 +76,8 @@ def test_a_memory_of_another_size_goes_on_from_what_there_is(
 
 def test_a_refilled_buffer_counts_its_streams_on() -> None:
     samples = [Sample.of_one_motor(k, 0.01, float(k), 0.1) for k in range(1, 41)]
-    one, other = ReplayBuffer(1, 16), ReplayBuffer(1, 16)
+    one = ReplayBuffer(1, 16)
+    other = ReplayBuffer(1, 16)
     for sample in samples:
         one.append(sample)
     content = one.content(more=4)

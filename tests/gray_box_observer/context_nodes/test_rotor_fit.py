@@ -69,7 +69,8 @@ def test_a_start_that_is_far_off_ends_at_the_same_place(factor: float) -> None:
 def test_a_data_sheet_decides_what_samples_leave_open() -> None:
     short = content_of(recorded())[:, :60]
     window = Window.from_samples(BOX, short)
-    mean, precision = np.log(1.2 * THETA), np.diag([25.0, 1e8, 25.0, 25.0, 25.0])
+    mean = np.log(1.2 * THETA)
+    precision = np.diag([25.0, 1e8, 25.0, 25.0, 25.0])
     fit = completed(fit_window(BOX, window, LogPrior(mean, precision), [THETA]))
     assert fit is not None
     assert fit.theta[1] == pytest.approx(1.2 * THETA[1], rel=1e-3)

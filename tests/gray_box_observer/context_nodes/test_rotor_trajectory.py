@@ -123,8 +123,10 @@ def test_few_steps_are_as_good_as_many(interval_s: float, monkeypatch: pytest.Mo
 @pytest.mark.parametrize('compiled', [True, False])
 @pytest.mark.parametrize('place', [*range(2), 3, *range(5, 9)])
 def test_derivatives_of_straight_motions_are_finite_differences(place: int, compiled: bool) -> None:
-    volts, interval = np.linspace(6.0, 9.0, 8), np.full(8, 1e-2)
-    p, start = coordinates(BOX, THETA), np.array([1.0, 200.0])
+    volts = np.linspace(6.0, 9.0, 8)
+    interval = np.full(8, 1e-2)
+    p = coordinates(BOX, THETA)
+    start = np.array([1.0, 200.0])
 
     path, by_difference = differentiated(p, start, volts, interval, place, is_compiled=compiled)
     slope = path.slopes[:, :, 2 + place]
@@ -150,7 +152,8 @@ def test_compiled_code_and_python_hold_a_rotor_by_the_same_rules() -> None:
 
 @pytest.mark.parametrize('compiled', [True, False])
 def test_where_a_slipping_rotor_ends_answers_where_it_began(compiled: bool) -> None:
-    volts, interval = np.full(1, 6.0), np.full(1, 1e-3)
+    volts = np.full(1, 6.0)
+    interval = np.full(1, 1e-3)
     p = coordinates(BOX, HELD_THETA)
 
     def end(speed: float) -> Run:
@@ -167,7 +170,8 @@ def test_where_a_slipping_rotor_ends_answers_where_it_began(compiled: bool) -> N
 def test_a_rotor_that_friction_holds_is_followed_in_one_step(
     interval_s: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    volts, p = steps(20, hold=4), coordinates(BOX, HELD_THETA)
+    volts = steps(20, hold=4)
+    p = coordinates(BOX, HELD_THETA)
 
     def follow(voltage_v: np.ndarray, length_s: float, **options: bool) -> Run:
         lengths = np.full(voltage_v.size, length_s)
@@ -187,8 +191,10 @@ def test_a_rotor_that_friction_holds_is_followed_in_one_step(
 @pytest.mark.parametrize('compiled', [True, False])
 @pytest.mark.parametrize('place', [0, 1, 3, 6, 7, 8, 9])
 def test_derivatives_with_the_rotor_held_are_finite_differences(place: int, compiled: bool) -> None:
-    volts, interval = np.linspace(6.0, 9.0, 8), np.full(8, 1e-3)
-    p, start = coordinates(BOX, HELD_THETA), np.array([1.0, 0.0])
+    volts = np.linspace(6.0, 9.0, 8)
+    interval = np.full(8, 1e-3)
+    p = coordinates(BOX, HELD_THETA)
+    start = np.array([1.0, 0.0])
 
     path, by_difference = differentiated(p, start, volts, interval, place, is_compiled=compiled)
     slope = path.slopes[:, :, 2 + place]
@@ -205,16 +211,19 @@ def test_a_rate_that_is_not_straight_is_not_taken_for_one() -> None:
 def _straight(hysteresis: float) -> StraightMotion | None:
     p = coordinates(BOX, THETA)
     p[list(TERMS).index('hysteresis')] = hysteresis / THETA[0]
-    motor, values = WholeMotor(KT), dict(enumerate(p.tolist()))
+    motor = WholeMotor(KT)
+    values = dict(enumerate(p.tolist()))
     return StraightMotion.of_motor(
         lambda at: rate(rotor_trajectory._FLOATS, motor, values, at, 0.0, 0.0), p, LIMITS, 1e-2
     )
 
 
 def test_intervals_of_many_lengths_are_followed_alike() -> None:
-    volts, rng = steps(200, hold=20), np.random.default_rng(3)
+    volts = steps(200, hold=20)
+    rng = np.random.default_rng(3)
     interval = 1e-2 * rng.uniform(0.5, 1.5, volts.size)
-    p, start = coordinates(BOX, THETA), np.array([0.1, 3.0])
+    p = coordinates(BOX, THETA)
+    start = np.array([0.1, 3.0])
     whole = run(KT, p, start, volts, interval, LIMITS)
     state = start
     for k in range(0, volts.size, 4):  # too few to prepare for
@@ -226,7 +235,8 @@ def test_intervals_of_many_lengths_are_followed_alike() -> None:
 
 @pytest.mark.parametrize('node', range(len(NODES)))
 def test_derivatives_by_the_logarithms_are_finite_differences(node: int) -> None:
-    volts, step = steps(1500), 1e-6
+    volts = steps(1500)
+    step = 1e-6
     followed = free_run(THETA, volts)
     slope = followed.slopes[:, 0, 2:] @ slopes(BOX, coordinates(BOX, THETA))[:, node]
     ends = []
@@ -240,7 +250,8 @@ def test_derivatives_by_the_logarithms_are_finite_differences(node: int) -> None
 
 def test_derivatives_by_the_first_states_are_finite_differences() -> None:
     volts = steps(400)
-    p, interval = coordinates(BOX, THETA), np.full(400, 1e-3)
+    p = coordinates(BOX, THETA)
+    interval = np.full(400, 1e-3)
     middle = run(KT, p, np.array([0.5, 40.0]), volts, interval, LIMITS)
     for state, bump in enumerate((1e-5, 1e-3)):
         up, down = (
@@ -306,7 +317,8 @@ def test_compiled_code_and_python_carry_the_same_load() -> None:
     volts = steps(120, hold=20)
     places = np.linspace(0.0, 3.0, volts.size)
     load = np.interp(places, np.arange(4), [0.0, 900.0, -400.0, 200.0])
-    p, start = coordinates(BOX, THETA), np.array([0.1, 3.0])
+    p = coordinates(BOX, THETA)
+    start = np.array([0.1, 3.0])
     both = [
         run(KT, p, start, volts, np.full(volts.size, 1e-3), LIMITS, load, is_compiled=compiled)
         for compiled in (True, False)
@@ -320,7 +332,8 @@ def test_compiled_code_and_python_carry_the_same_load() -> None:
 def test_derivatives_by_the_knots_of_a_load_are_finite_differences(knot: int) -> None:
     volts = steps(300)
     places = np.linspace(0.0, 3.0, volts.size)
-    p, start = coordinates(BOX, THETA), np.array([0.1, 50.0])
+    p = coordinates(BOX, THETA)
+    start = np.array([0.1, 50.0])
 
     def loaded(knots: np.ndarray) -> Run:
         load = np.interp(places, np.arange(4), knots)
@@ -341,7 +354,8 @@ def test_compiled_code_and_python_respond_alike_to_further_voltages() -> None:
         pytest.skip('no compiled code')
     rng = np.random.default_rng(5)
     transitions = free_run(THETA, steps(60)).transitions
-    gains, inputs = rng.normal(size=(60, 2)), rng.normal(size=(60, 3))
+    gains = rng.normal(size=(60, 2))
+    inputs = rng.normal(size=(60, 3))
     fast, slow = (
         current_response(transitions, gains, inputs, is_compiled=compiled)
         for compiled in (True, False)

@@ -37,7 +37,8 @@ def test_everything_is_identified_and_right() -> None:
 @pytest.mark.slow
 def test_deviations_shrink_with_the_windows() -> None:
     samples = samples_of(recorded(duration_s=6.0))
-    update, stds = RotorUpdate(BOX, INITIAL), {}
+    update = RotorUpdate(BOX, INITIAL)
+    stds = {}
     for k, sample in enumerate(samples, start=1):
         if update.learn(sample):
             stds[k] = update.estimate().std[0] / THETA
@@ -77,7 +78,8 @@ def test_of_one_step_nothing_is_identified() -> None:
 
 
 def test_an_hour_of_constant_voltage_moves_nothing() -> None:
-    moving, held = samples_of(recorded()), samples_of(recorded('C[6]', 3.0))
+    moving = samples_of(recorded())
+    held = samples_of(recorded('C[6]', 3.0))
     update = learn(RotorUpdate(BOX, INITIAL), moving)
     before = update.estimate()
     learn(update, [sample.beginning() if k == 0 else sample for k, sample in enumerate(held[500:])])
@@ -134,7 +136,8 @@ def test_what_was_learnt_as_the_past_is_not_fitted_once_more(more: int) -> None:
     update = RotorUpdate(BOX, INITIAL)
     completed(update.learn_remembered(content, samples[WINDOW - 1].stamp_ns))
     learn(update, samples[WINDOW : WINDOW + more])
-    before, fits = update.theta.tobytes(), update.counters()
+    before = update.theta.tobytes()
+    fits = update.counters()
     assert not update.finish()
     assert update.theta.tobytes() == before
     assert update.counters() == fits
@@ -201,7 +204,8 @@ def observed(**more: Any) -> Observer:
 
 def test_the_observer_tests_the_fit_of_a_rotor() -> None:
     observer = observed()
-    estimate, fit = observer.estimates()['motor'], observer.fit('motor')
+    estimate = observer.estimates()['motor']
+    fit = observer.fit('motor')
     assert estimate.verdicts[0][:3] == (Verdict.IDENTIFIED,) * 3
     assert fit.verdict.value == 'ok'
     assert fit.ratio == pytest.approx(1.0, abs=0.2)
@@ -232,7 +236,8 @@ def test_a_fit_that_leaves_much_is_a_misfit() -> None:
 
 def test_histories_too_short_to_tell_are_left_out_of_the_fit_and_of_its_test() -> None:
     observer = Observer(Configuration.from_flat(PARAMETERS), None)
-    recording, gap_ns = recorded(), 0
+    recording = recorded()
+    gap_ns = 0
     for k, stamp in enumerate(recording.stamp_ns[:1200].tolist()):
         gap_ns += 2_000_000_000 if k in (500, 503, 900) else 0
         observer.voltage('motor', stamp + gap_ns, float(recording.voltage_v[0, k]))
@@ -242,7 +247,8 @@ def test_histories_too_short_to_tell_are_left_out_of_the_fit_and_of_its_test() -
 
 
 def test_windows_follow_one_another_without_a_gap() -> None:
-    update, starts = RotorUpdate(BOX, INITIAL), set()
+    update = RotorUpdate(BOX, INITIAL)
+    starts = set()
     for sample in samples_of(recorded()):
         update.learn(sample)
         if update.fitting is not None:

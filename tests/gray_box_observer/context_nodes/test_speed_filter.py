@@ -109,7 +109,8 @@ def test_compiled_code_gives_the_same_speed() -> None:
     measured = current + np.random.default_rng(2).normal(0.0, noise_a, current.size)
     measured[100] += 50.0 * noise_a
     box = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
-    one, other = SpeedFilter(box), SpeedFilter(box, is_compiled=False)
+    one = SpeedFilter(box)
+    other = SpeedFilter(box, is_compiled=False)
     for k, value in enumerate(measured.tolist()):
         interval_s = 0.0 if k in (0, 200) else INTERVAL_S
         told = [

@@ -31,7 +31,8 @@ SETS_OF_NODES = (
 
 def _voltage(rng: np.random.Generator, samples: int) -> np.ndarray:
     """A voltage of some kind, in V."""
-    size, time = 10.0 ** rng.uniform(-1.0, 2.0), np.arange(samples)
+    size = 10.0 ** rng.uniform(-1.0, 2.0)
+    time = np.arange(samples)
     levels = rng.uniform(rng.choice([-1.0, 0.0, 0.3]), 1.0, samples)
     held = np.repeat(levels, rng.integers(1, rng.choice([3, 30, 200]), samples))[:samples]
     kinds = (
@@ -50,9 +51,11 @@ def _motor(
     constant = 10.0 ** rng.uniform(-3.0, 0.0)
     resistance = 10.0 ** rng.uniform(-1.5, 2.0)
     decay = np.exp(-step_s / (10.0 ** rng.uniform(-5.0, 0.5)))
-    friction, free = rng.choice([0.0, 0.05, 0.5]), rng.random() < 0.6
+    friction = rng.choice([0.0, 0.05, 0.5])
+    free = rng.random() < 0.6
     slow = np.exp(-step_s / 10.0 ** rng.uniform(-2.5, 1.0))
-    current, speed = np.zeros(voltage.size + 1), np.zeros(voltage.size + 1)
+    current = np.zeros(voltage.size + 1)
+    speed = np.zeros(voltage.size + 1)
     for k, volt in enumerate(voltage):
         steady = (volt - constant * speed[k]) / resistance
         current[k + 1] = steady + (current[k] - steady) * decay
@@ -83,7 +86,8 @@ def _spoilt(rng: np.random.Generator, current: np.ndarray) -> np.ndarray:
 
 def _samples(seed: int) -> tuple[RecursiveEstimator, list[Sample]]:
     rng = np.random.default_rng(seed)
-    step_s, count = float(rng.choice([1e-4, 1e-3, 1e-2, 0.1])), int(rng.choice([80, 160, 240, 400]))
+    step_s = float(rng.choice([1e-4, 1e-3, 1e-2, 0.1]))
+    count = int(rng.choice([80, 160, 240, 400]))
     names = SETS_OF_NODES[rng.integers(len(SETS_OF_NODES))]
     voltage = _voltage(rng, count)
     current, speed, constant = _motor(rng, voltage, step_s)

@@ -9,7 +9,9 @@ from gray_box_observer.context_nodes import RecursiveEstimator, Verdict
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
-INDUCTANCE, RESISTANCE, TORQUE_CONSTANT = 0.69e-3, 4.2, 1.2e-3
+INDUCTANCE = 0.69e-3
+RESISTANCE = 4.2
+TORQUE_CONSTANT = 1.2e-3
 
 
 @pytest.mark.parametrize('interval_s', [0.02, 0.002])
@@ -20,7 +22,9 @@ def test_inductance_is_not_claimed_but_resistance_is_where_samples_come_too_slow
     box = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
     rule = RecursiveEstimator(box, np.array([[2e-3, 10.0]]))
     decay = np.exp(-interval_s * RESISTANCE / INDUCTANCE)
-    voltage_v, current_a, held_v = 0.0, 0.0, 0.0
+    voltage_v = 0.0
+    current_a = 0.0
+    held_v = 0.0
     for k in range(2000):
         noisy_nm = TORQUE_CONSTANT * (current_a + 5e-3 * random.standard_normal())
         rule.learn(

@@ -38,8 +38,10 @@ def feed() -> Feed:
         torque_late: int = 0,
     ) -> list[Result]:
         results: list[Result] = []
-        stamps, shift_ns = recording.stamp_ns.tolist(), round(delay_s * 1e9)
-        voltage, torque = recording.voltage_v[0].tolist(), recording.torque_nm[0].tolist()
+        stamps = recording.stamp_ns.tolist()
+        shift_ns = round(delay_s * 1e9)
+        voltage = recording.voltage_v[0].tolist()
+        torque = recording.torque_nm[0].tolist()
         end = len(stamps) if until is None else until
         for k in range(first, end + abs(torque_late)):
             v, t = (k, k - torque_late) if torque_late >= 0 else (k + torque_late, k)

@@ -30,7 +30,8 @@ def test_rows_are_copied_once_a_search_and_not_while_none_is_due() -> None:
     def watch(_: int) -> DelayWatch:
         return DelayWatch(white_box, np.array([[0.5, 1.0]]), 0.0, is_estimated=False, gap_s=0.5)
 
-    history, delays = CountedHistory(MOTORS), DelayRound(MOTORS, watch, 0.0)
+    history = CountedHistory(MOTORS)
+    delays = DelayRound(MOTORS, watch, 0.0)
     source = np.random.default_rng(1)
     for k in range(8 * FIRST):
         history.voltage(10 * k * MS, source.uniform(5.0, 15.0, MOTORS))

@@ -22,7 +22,8 @@ INITIAL = to_coordinates(np.array([[1.5, 3.0, 1.0]]))
 
 def signals_of(recording: Recording, delay_s: float) -> RawSignals:
     """A recording with voltage stamped too early, cut to where every delay is known."""
-    history, shift_ns = RawHistory(), round(delay_s * 1e9)
+    history = RawHistory()
+    shift_ns = round(delay_s * 1e9)
     for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
         history.voltage(stamp_ns - shift_ns, float(recording.voltage_v[0, k]))
         history.torque(stamp_ns, float(recording.torque_nm[0, k]))
@@ -65,7 +66,8 @@ def test_the_coarse_profile_is_that_of_least_squares_at_every_delay_one_by_one(
 ) -> None:
     signals = signals_of(record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.02), delay)
     found = coarse(thesis_box, signals)
-    window, state = 12, thesis_box.state(signals.torque_nm)[None]
+    window = 12
+    state = thesis_box.state(signals.torque_nm)[None]
     for at in range(0, found.delay_s.size, 7):
         volt = np.diff(signals.voltage_integral(signals.time_s - found.delay_s[at]))[None] / STEP_S
         blank = np.full_like(state, np.nan)

@@ -93,12 +93,11 @@ def test_a_motor_that_changes_is_not_taken_for_a_delay(
 def test_an_asked_for_delay_is_applied_and_the_motor_identified_as_if_it_had_been_declared(
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
-    recording, delay_s = record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01), 0.0537
-    asked, told, deceived = (
-        observer(**{'motor.delay': 'estimate'}),
-        observer(**{'motor.delay': delay_s}),
-        observer(),
-    )
+    recording = record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01)
+    delay_s = 0.0537
+    asked = observer(**{'motor.delay': 'estimate'})
+    told = observer(**{'motor.delay': delay_s})
+    deceived = observer()
     for one in (asked, told, deceived):
         feed(one, recording, delay_s)
     found = asked.delays()['motor']
@@ -117,7 +116,8 @@ def test_a_declared_delay_is_confirmed_and_a_wrong_one_is_flagged(
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
     recording = record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
-    right, wrong = observer(**{'motor.delay': 0.05}), observer(**{'motor.delay': 0.02})
+    right = observer(**{'motor.delay': 0.05})
+    wrong = observer(**{'motor.delay': 0.02})
     for one in (right, wrong):
         feed(one, recording, 0.05)
     assert right.delays()['motor'].verdict is DelayVerdict.CONFIRMED
@@ -252,12 +252,14 @@ def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(
 def test_gaps_duplicates_and_junk_do_not_hide_the_delay(
     record: Callable[..., Recording], observer: Any
 ) -> None:
-    random, one = np.random.default_rng(5), observer()
+    random = np.random.default_rng(5)
+    one = observer()
     recording = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.01)
     for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
         if 1000 <= k < 1100 or random.random() < 0.03:
             continue
-        volt, torque = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        volt = float(recording.voltage_v[0, k])
+        torque = float(recording.torque_nm[0, k])
         stamps = [stamp_ns, stamp_ns] if random.random() < 0.05 else [stamp_ns]
         for stamp in stamps:
             one.voltage('motor', START_NS + stamp - 40_000_000, volt)

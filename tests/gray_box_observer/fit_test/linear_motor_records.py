@@ -18,7 +18,8 @@ from gray_box_observer.white_box import MotorWhiteBox
 Floats = NDArray[np.float64]
 
 INTERVAL_S = 1e-3
-INDUCTANCE_H, RESISTANCE_OHM = 4e-3, 2.0
+INDUCTANCE_H = 4e-3
+RESISTANCE_OHM = 2.0
 TORQUE_CONSTANT = 0.02
 NODES = ('inductance', 'resistance')
 WHITE_BOX = MotorWhiteBox(NODES, TORQUE_CONSTANT)

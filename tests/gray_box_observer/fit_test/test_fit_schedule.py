@@ -24,7 +24,8 @@ from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, check_saved_test
 
 FEWEST = 64
 THETA = np.array([8e-3, 2.0])
-BELIEVED, OPEN = Verdict.IDENTIFIED, Verdict.CONVERGING
+BELIEVED = Verdict.IDENTIFIED
+OPEN = Verdict.CONVERGING
 
 
 class Streams:
@@ -47,13 +48,15 @@ class Streams:
 
 
 def estimate_of(motors: int, verdict: Verdict = BELIEVED, factor: float = 1.0) -> Estimate:
-    value, covariance = np.tile(factor * THETA, (motors, 1)), np.zeros((motors, 2, 2))
+    value = np.tile(factor * THETA, (motors, 1))
+    covariance = np.zeros((motors, 2, 2))
     return Estimate(0, (), value, covariance, ((verdict, verdict),) * motors)
 
 
 def result_at(place: int, verdict: FitVerdict, wait: int, misfits: int = 0) -> FitResult:
     judgement = Judgement(verdict, np.ones(2), np.zeros((2, 2)))
-    assessment, has_fitted = FitAssessment(verdict), verdict is FitVerdict.OK
+    assessment = FitAssessment(verdict)
+    has_fitted = verdict is FitVerdict.OK
     return FitResult(
         assessment, judgement, THETA, place, 0, wait, 1.0, misfits, 0.0, has_fitted=has_fitted
     )
@@ -123,7 +126,8 @@ def test_newest_samples_are_tested_only_of_a_motor_that_has_passed(schedule: Fit
 @pytest.mark.parametrize('fit', [FitVerdict.OK, FitVerdict.MISFIT, None])
 def test_a_motor_alone_is_asked_as_one_that_comes_with_another(fit: FitVerdict | None) -> None:
     """Of one motor plain numbers tell mostly that nothing is due; of several it takes arrays."""
-    alone, both = FitSchedule(np.array([FEWEST]), 2), FitSchedule(np.full(2, FEWEST), 2)
+    alone = FitSchedule(np.array([FEWEST]), 2)
+    both = FitSchedule(np.full(2, FEWEST), 2)
     if fit is not None:
         for schedule, motor in ((alone, 0), (both, 0), (both, 1)):
             schedule.follow(motor, result_at(100, fit, 300))
@@ -149,7 +153,8 @@ def test_only_what_was_tested_and_fitted_may_wait_for_its_next_test(schedule: Fi
 
 
 def test_of_many_motors_who_has_waited_longest_is_tested_first() -> None:
-    many, everybody = FitSchedule(np.full(3, FEWEST), 2), np.arange(3)
+    many = FitSchedule(np.full(3, FEWEST), 2)
+    everybody = np.arange(3)
     for motor, place in enumerate((300, 100, 200)):
         many.follow(motor, result_at(place, FitVerdict.OK, 100))
     for motor in (1, 2, 0):
@@ -179,7 +184,8 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
     schedule = FitSchedule(np.array([64]), 2)
     schedule.begin_test(0, 512)
     schedule.follow(0, result_at(512, FitVerdict.OK, 512))
-    state, result = schedule.state(0, 320), result_at(512, FitVerdict.OK, 512).state(320)
+    state = schedule.state(0, 320)
+    result = result_at(512, FitVerdict.OK, 512).state(320)
     assert (state['tested_at'], result['place']) == (192, 192)
     check_saved_test({**state, **result}, 2)
     restored = FitSchedule(np.array([64]), 2)

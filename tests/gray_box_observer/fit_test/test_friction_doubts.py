@@ -19,7 +19,8 @@ from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_r
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
-SAMPLES, INTERVAL_S = 4000, 1e-3
+SAMPLES = 4000
+INTERVAL_S = 1e-3
 KT = KB = 0.02
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
 THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 8.4e-3])
@@ -60,7 +61,8 @@ def test_the_current_answers_a_torque_as_a_second_run_does() -> None:
 @pytest.mark.parametrize('rho', [0.1, 1.0, 4.0])
 def test_it_does_so_however_many_time_constants_an_interval_has(rho: float) -> None:
     theta = THETA.copy()
-    theta[0], theta[4] = theta[1] * INTERVAL_S / rho, 1e-9  # a shaft that never stops
+    theta[0] = theta[1] * INTERVAL_S / rho
+    theta[4] = 1e-9  # a shaft that never stops
     bump_nm = 1e-6 * np.sin(2.0 * np.pi * 60.0 * INTERVAL_S * np.arange(SAMPLES - 1))
     base_a = _path_under(np.zeros(SAMPLES - 1), theta).states[:, 0]
     (response_a,) = _run_freely(base_a, theta).torque_response(bump_nm[None], INERTIA)
@@ -130,7 +132,8 @@ def test_a_shaft_gives_only_where_it_rests(rests: bool) -> None:
         give_v[rests_from] = np.diff(current_a[rests_from], append=current_a[-1]) / INTERVAL_S
         give_v *= KB * GIVE_RAD / largest_a
         later = slice(SAMPLES // 2 + 50, None)  # the run begins anew where the speed jumps
-        response_a, expected_a = doubts[0].response_a[later], current_of(-give_v)[later]
+        response_a = doubts[0].response_a[later]
+        expected_a = current_of(-give_v)[later]
         assert np.ptp(expected_a) > 1e-4 * largest_a
         assert response_a == pytest.approx(expected_a, abs=1e-6 * largest_a)
 

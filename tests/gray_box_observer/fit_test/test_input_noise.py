@@ -29,8 +29,11 @@ from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 
-SAMPLES, SEEDS, SUBSTEPS = 2000, 40, 50
-BACK_EMF_CONSTANT, HYSTERESIS = 0.05, 0.02
+SAMPLES = 2000
+SEEDS = 40
+SUBSTEPS = 50
+BACK_EMF_CONSTANT = 0.05
+HYSTERESIS = 0.02
 CURRENT_STD = 0.01
 TRUTH = {
     'inductance': INDUCTANCE_H,
@@ -47,7 +50,8 @@ def _white_box(*context_nodes: str) -> MotorWhiteBox:
     return MotorWhiteBox(context_nodes, TORQUE_CONSTANT, known, speed_measured=True)
 
 
-L_AND_R, ALL = _white_box(*NAMES[:2]), _white_box(*NAMES)
+L_AND_R = _white_box(*NAMES[:2])
+ALL = _white_box(*NAMES)
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,9 @@ class Noise:
     voltage: float = 0.0
 
 
-NOISELESS, SPEED, VOLTAGE = Noise(), Noise(speed=1.0), Noise(voltage=0.05)
+NOISELESS = Noise()
+SPEED = Noise(speed=1.0)
+VOLTAGE = Noise(voltage=0.05)
 
 
 @cache
@@ -142,7 +148,8 @@ def test_the_bias_is_that_of_repeated_fits(
 @pytest.mark.parametrize('noise', [SPEED, VOLTAGE], ids=['speed', 'voltage'])
 def test_the_standard_deviation_of_the_inductance_contains_it(noise: Noise) -> None:
     p = _coordinates(L_AND_R)
-    noisy, exact = _measured(_motor(RHO), 3, noise), _measured(_motor(RHO), 3)
+    noisy = _measured(_motor(RHO), 3, noise)
+    exact = _measured(_motor(RHO), 3)
     assert np.abs(analyse(L_AND_R, p, noisy).open_shifts).max() > 0.005
     assert np.abs(analyse(L_AND_R, p, exact).open_shifts).max() < 1e-4
 
@@ -162,7 +169,8 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
     gain = (1.0 - decay) / RESISTANCE_OHM
     references_a = steps(SAMPLES, 6, -0.3, 0.3)
     current_a = 0.0
-    voltage_v, readings_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    voltage_v = np.zeros(SAMPLES)
+    readings_a = np.zeros(SAMPLES)
     for sample, reference_a in enumerate(references_a):
         readings_a[sample] = current_a + CURRENT_STD * rng.normal()
         voltage_v[sample] = RESISTANCE_OHM * reference_a
@@ -182,14 +190,17 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
 
 
 def test_under_a_controller_that_answers_the_largest_likely_noise_counts() -> None:
-    p, stretch = _coordinates(L_AND_R), _measured(_motor(RHO), 1, VOLTAGE)
+    p = _coordinates(L_AND_R)
+    stretch = _measured(_motor(RHO), 1, VOLTAGE)
     run = free_run(L_AND_R, p, stretch)
 
     def scores(by_neighbours: Amount, by_the_one_before: Amount) -> Floats:
         variances = {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
         return input_noise_scores(L_AND_R, p, run, variances)
 
-    answered, little, much = Amount(-1.0, 0.1), Amount(1e-4, 2e-4), Amount(1.0, 2.0)
+    answered = Amount(-1.0, 0.1)
+    little = Amount(1e-4, 2e-4)
+    much = Amount(1.0, 2.0)
     expected = scores(Amount(3e-4, 1e-9), UNKNOWN)  # the mean and a standard deviation
     assert scores(answered, little) == pytest.approx(expected, rel=1e-3)
     largest_v2 = difference_noise(stretch.voltage_v[0]) ** 2  # the readings scatter by no more

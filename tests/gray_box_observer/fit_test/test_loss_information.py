@@ -96,7 +96,8 @@ def test_absurd_samples_tell_nothing() -> None:
 
 def test_a_state_holds_everything() -> None:
     content = content_of(GEAR_MOTOR, 6.0 * SWITCHED)
-    one, other = gathered(content), LossInformation(MotorWhiteBox(NODES, 0.02, {}, True), LOST_V)
+    one = gathered(content)
+    other = LossInformation(MotorWhiteBox(NODES, 0.02, {}, True), LOST_V)
     other.restore(one.state())
     for information in (one, other):
         information.add(THETA, content)

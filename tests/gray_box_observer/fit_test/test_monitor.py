@@ -266,7 +266,8 @@ def test_results_of_a_motor_that_fits_do_not_wait_for_the_question_whether_a_tes
     group = observer.group_of('motor')
     assert group.observer is not None
     group.observer.run_deferred()
-    are_out, asked = [], FitSchedule.due
+    are_out = []
+    asked = FitSchedule.due
 
     def due(schedule: FitSchedule, *arguments: Any) -> list[int]:
         are_out.append(is_out)

@@ -103,8 +103,10 @@ def test_values_that_have_moved_since_their_test_are_tested_before_they_are_beli
     _feed(observer, voltage_v[:1200], current_a[:1200])
     group = observer.group_of('motor')
     assert group.observer is not None
-    nodes, motor = group.observer.context_nodes, observer.configuration.motors['motor']
-    monitor, only = FitMonitor([motor], [group.observer.white_box]), np.array([0])
+    nodes = group.observer.context_nodes
+    motor = observer.configuration.motors['motor']
+    monitor = FitMonitor([motor], [group.observer.white_box])
+    only = np.array([0])
     monitor.test(nodes, nodes.estimate(), 0, group.observer.delay_of(0))
     _feed(observer, voltage_v[1200:], current_a[1200:], 1200)
     same = nodes.estimate()

@@ -70,10 +70,13 @@ def judgement(seed: int, parameters: int) -> Judgement:
 
 @pytest.mark.parametrize('parameters', [1, 3, 7])
 def test_a_covariance_grows_by_factors_and_by_the_spread_of_logarithms(parameters: int) -> None:
-    limit, random = judgement(parameters, parameters), np.random.default_rng(9)
-    values, root = random.lognormal(size=parameters), random.normal(size=(parameters, parameters))
+    limit = judgement(parameters, parameters)
+    random = np.random.default_rng(9)
+    values = random.lognormal(size=parameters)
+    root = random.normal(size=(parameters, parameters))
     covariance = root @ root.T
-    scale, unit = np.diag(limit.factor), np.diag(values)
+    scale = np.diag(limit.factor)
+    unit = np.diag(values)
     expected = scale @ covariance @ scale + unit @ limit.spread @ unit
     widened = limit.widened(values.tolist(), covariance.tolist())
     np.testing.assert_allclose(widened, expected, rtol=1e-12)
@@ -89,7 +92,9 @@ def test_a_judgement_that_limits_nothing_leaves_the_covariance() -> None:
 
 def test_a_share_of_the_voltage_is_at_most_that_of_the_furthest_value() -> None:
     limit = judgement(2, 3)
-    values, share, reach = [2.0, 0.5, 1.0], [0.1, 0.3, 0.0], [0.02, 0.01, 0.0]
+    values = [2.0, 0.5, 1.0]
+    share = [0.1, 0.3, 0.0]
+    reach = [0.02, 0.01, 0.0]
     furthest = np.array(values) * (1.0 + SIGMAS * np.sqrt(np.diagonal(limit.spread)))
     expected = furthest * share + limit.factor * reach
     largest = limit.largest_shares(values, share, reach)
@@ -155,7 +160,8 @@ def test_a_small_error_of_the_stamps_counts_once_more_than_a_window_tells_of_it(
     is_mature: bool,
 ) -> None:
     """It is not shown, and leaves L open by 2 %."""
-    shift, told = np.array([-0.4, 0.0]), Amount(0.5 * STAMP_STDS * STAMP_STD, STAMP_STD)
+    shift = np.array([-0.4, 0.0])
+    told = Amount(0.5 * STAMP_STDS * STAMP_STD, STAMP_STD)
     evidence = Evidence({}, WINDOW + 1.0 if is_mature else 100.0)
     doubted = analysis(delay=StampError(shift, told), evidence=evidence)
     limit = judge(doubted, STD, SAMPLES, speed_measured=True, stamps_exact=False)

@@ -173,7 +173,8 @@ def test_noise_with_a_memory_widens_the_standard_deviations_and_is_no_effect() -
 
 
 def test_robust_standard_deviations_are_those_of_repeated_fits() -> None:
-    shifts, stds = [], []
+    shifts = []
+    stds = []
     for seed in range(30):
         voltage_v = steps(SAMPLES, 3)
         current_a = current_of(voltage_v) + noise(SAMPLES, STD_A, seed, memory=0.8)
@@ -218,7 +219,8 @@ def test_the_ljung_box_statistic_is_about_one_for_white_noise() -> None:
 
 
 def test_three_deviations_of_a_covariance_from_few_periods_hold_what_three_should() -> None:
-    count, records = 128, 5000
+    count = 128
+    records = 5000
     generator = np.random.default_rng(1)
     sizes = []
     for _ in range(records):
@@ -248,7 +250,8 @@ def test_a_free_run_that_never_moves_says_nothing_of_the_stamps(
     current_a = np.zeros(SAMPLES)
     current_a[-100:] = noise(100, 1.0, 1)
     stretch = Record(np.zeros(SAMPLES), current_a).stretch
-    rest, intervals = np.zeros(SAMPLES), np.zeros(SAMPLES - 1)
+    rest = np.zeros(SAMPLES)
+    intervals = np.zeros(SAMPLES - 1)
     creep = 1e-170 * np.maximum(np.arange(SAMPLES) - SAMPLES + 100, 0)  # whose square is zero
     run = FreeRun(
         stretch, 1.0, creep, current_a, np.zeros((SAMPLES, 3)), intervals, intervals, rest + 1.0

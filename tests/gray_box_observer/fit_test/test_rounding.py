@@ -30,7 +30,8 @@ def _rounded(seed: int, std: float = 0.0) -> tuple[Record, float]:
 
 
 def test_the_shift_is_that_of_repeated_fits() -> None:
-    errors, told = [], []
+    errors = []
+    told = []
     for seed in range(SEEDS):
         record, step_a = _rounded(seed)
         run = free_run(WHITE_BOX, TRUTH, record.stretch)

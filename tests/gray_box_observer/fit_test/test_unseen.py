@@ -41,7 +41,8 @@ SURE = np.array([1e-3, 1e-3])
 def _slow_sines(scale_s: float) -> tuple[Floats, Floats]:
     """Voltage at every sample, and the current of the blocked motor that it drives all the time."""
     time_s = np.arange(SAMPLES) * INTERVAL_S
-    voltage_v, current_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    voltage_v = np.zeros(SAMPLES)
+    current_a = np.zeros(SAMPLES)
     for share in (1.0, 1.7, 2.9):
         rate = share / scale_s
         impedance = RESISTANCE_OHM + 1j * rate * INDUCTANCE_H
@@ -103,7 +104,8 @@ def _looped(seed: int, every: int) -> Record:
     decay = np.exp(-INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H)
     gain = (1.0 - decay) / RESISTANCE_OHM
     current_a = integral_v = 0.0
-    voltage_v, readings_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    voltage_v = np.zeros(SAMPLES)
+    readings_a = np.zeros(SAMPLES)
     for sample, reference_a in enumerate(references_a):
         readings_a[sample] = current_a + STD_A * rng.normal()
         voltage_v[sample] = voltage_v[sample - 1]
@@ -131,7 +133,8 @@ def test_the_inductance_of_a_voltage_that_was_sampled_is_not_believed_wrongly() 
     """It comes out too small by R times half an interval, and the residual is white."""
     voltage_v, current_a = _slow_sines(1.0)
     motor = Record(voltage_v, current_a + noise(SAMPLES, STD_A, 4)).observed().motors['motor']
-    inductance, std = motor.estimate.value[0, 0], motor.estimate.std[0, 0]
+    inductance = motor.estimate.value[0, 0]
+    std = motor.estimate.std[0, 0]
     assert inductance < 0.85 * INDUCTANCE_H
     assert abs(inductance - INDUCTANCE_H) < 3.0 * std
     assert motor.estimate.verdicts[0][0] is not Verdict.IDENTIFIED

@@ -26,7 +26,9 @@ from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 
-SAMPLES, SINCE_CHANGE, FEW = 300, 40, 500
+SAMPLES = 300
+SINCE_CHANGE = 40
+FEW = 500
 
 
 def result(verdict: FitVerdict, *, has_fitted: bool) -> FitResult:

@@ -175,7 +175,8 @@ def early(
 ) -> Path:
     """A bag whose voltage is stamped 50 ms too early."""
     recording = record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
-    on_time, too_early = messages_of(recording), messages_of(recording, start_ns=950_000_000)
+    on_time = messages_of(recording)
+    too_early = messages_of(recording, start_ns=950_000_000)
     mixed = [m for m in too_early if 'voltage' in m[0]] + [m for m in on_time if 'torque' in m[0]]
     return write_bag(tmp_path / 'early', sorted(mixed, key=lambda m: m[1]))
 

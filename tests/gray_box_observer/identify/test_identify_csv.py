@@ -422,7 +422,8 @@ def test_bags_made_one_by_one_of_short_logs_are_one_recording_too(
 def test_where_one_of_several_logs_fails_no_folder_is_left(
     identify: Run, log: Path, tmp_path: Path
 ) -> None:
-    good, bad = tmp_path / 'good', tmp_path / 'bad'
+    good = tmp_path / 'good'
+    bad = tmp_path / 'bad'
     broken = tmp_path / 'broken.csv'
     broken.write_text('t_s,u_V,i_A\n0,1,x\n')
     code, out, said = identify(good, bad, '--from-csv', log, broken, *columns())

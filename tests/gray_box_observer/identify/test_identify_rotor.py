@@ -56,7 +56,8 @@ def every_number(tree: Any) -> list[float]:
 def test_a_free_rotor_gives_valid_json_and_a_report(
     free_rotor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    params, report = tmp_path / 'p.yaml', tmp_path / 'r.html'
+    params = tmp_path / 'p.yaml'
+    report = tmp_path / 'r.html'
     params.write_text(
         '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.3, back_emf_constant: 0.3}\n'
     )
@@ -116,7 +117,8 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
     assert found['fit']['verdict'] == 'ok'
     assert found['predictor']['nmae'] < 0.05
     for name in ('resistance', 'inertia'):
-        parameter, truth = found['parameters'][name], getattr(GEAR_MOTOR, name)
+        parameter = found['parameters'][name]
+        truth = getattr(GEAR_MOTOR, name)
         assert parameter['verdict'] == 'identified', name
         assert parameter['value'] == pytest.approx(truth, rel=0.02), name
     for name, parameter in found['parameters'].items():

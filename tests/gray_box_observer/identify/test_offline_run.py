@@ -79,14 +79,16 @@ def test_the_order_in_which_messages_came_does_not_change_the_digest(
         'torque ahead': {'/motor/voltage': 45_000_000, '/motor/torque': 0},
     }
     if order == 'bursts':  # each topic in its own order, but delivered in lumps
-        newest, delayed = {'/motor/voltage': 0, '/motor/torque': 0}, []
+        newest = {'/motor/voltage': 0, '/motor/torque': 0}
+        delayed = []
         for topic, at, data in messages:
             newest[topic] = max(newest[topic], at + int(random.integers(0, 80_000_000)))
             delayed.append((topic, newest[topic], data))
     else:
         delayed = [(topic, at + late[order][topic], data) for topic, at, data in messages]
     delayed.sort(key=lambda message: message[1])
-    straight, crooked = write_bag(tmp_path / 'a', messages), write_bag(tmp_path / 'b', delayed)
+    straight = write_bag(tmp_path / 'a', messages)
+    crooked = write_bag(tmp_path / 'b', delayed)
     assert [m[0] for m in delayed] != [m[0] for m in messages]
     assert observe(straight).digest == observe(crooked).digest
 
@@ -264,7 +266,8 @@ def test_a_motor_whose_resistance_is_known_gives_the_rest(
 def test_progress_counts_every_message(
     tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
 ) -> None:
-    bag, counted = write_bag(tmp_path / 'bag', messages), []
+    bag = write_bag(tmp_path / 'bag', messages)
+    counted = []
     run([bag], Configuration.from_flat({}), None, None, counted.append)
     assert sum(counted) == len(messages)
 

@@ -54,7 +54,8 @@ def bag_of(
 def test_what_was_learnt_is_judged_on_data_that_taught_nothing(
     identify: Run, bag_of: Callable[..., Path]
 ) -> None:
-    train, other = bag_of('train'), bag_of('other', seed=2)
+    train = bag_of('train')
+    other = bag_of('other', seed=2)
     code, out, _ = identify(train, '--skip-predictor', '--json', '-')
     alone = json.loads(out)
     code, out, said = identify(train, '--validate', other, '--skip-predictor', '--json', '-')
@@ -77,9 +78,11 @@ def test_what_was_learnt_is_judged_on_data_that_taught_nothing(
 def test_the_predictor_stands_on_top_and_everything_is_in_text_and_report(
     identify: Run, bag_of: Callable[..., Path], tmp_path: Path
 ) -> None:
-    params, report = tmp_path / 'p.yaml', tmp_path / 'r.html'
+    params = tmp_path / 'p.yaml'
+    report = tmp_path / 'r.html'
     params.write_text(SMALL)
-    train, other = bag_of('train'), bag_of('other', seed=2)
+    train = bag_of('train')
+    other = bag_of('other', seed=2)
     code, out, said = identify(train, '--validate', other, '--params', params, '--report', report)
     assert code == 0, said
     lines = out.splitlines()
@@ -108,7 +111,9 @@ def test_a_motor_that_has_changed_in_between_is_a_misfit_there(
 def test_the_judged_bag_is_tested_by_its_own_delay_and_the_quantity_of_torque(
     identify: Run, bag_of: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train, other, params = bag_of('train'), bag_of('other', seed=2), tmp_path / 'p.yaml'
+    train = bag_of('train')
+    other = bag_of('other', seed=2)
+    params = tmp_path / 'p.yaml'
     params.write_text('/**: {ros__parameters: {torque.quantity: current}}')
     late = DelayEstimate(0.0, False, 0.02, 1e-4, DelayVerdict.UNDECLARED)
     monkeypatch.setattr(MotorView, 'delay', property(lambda motor: late))
@@ -157,7 +162,8 @@ def test_a_motor_or_a_speed_that_is_missing_there_is_one_line(
     code, out, said = identify(bag_of('train'), '--validate', stranger, '--skip-predictor')
     assert (code, out) == (2, '')
     assert '0 usable samples of motor motor' in _only_error(said)
-    with_speed, without = bag_of('speed', speed=True), bag_of('no_speed', seed=2)
+    with_speed = bag_of('speed', speed=True)
+    without = bag_of('no_speed', seed=2)
     code, out, said = identify(with_speed, '--validate', without, '--skip-predictor')
     assert (code, out) == (2, '')
     assert 'no_speed: 1200' in _only_error(said)

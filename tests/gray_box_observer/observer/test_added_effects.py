@@ -223,7 +223,9 @@ def samples_of(record: Recording) -> list[Sample]:
 
 
 def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
-    through, restored, pieces = made(), [], set()
+    through = made()
+    restored = []
+    pieces = set()
     for sample in samples_of(recorded(LOSSY, LIVELY, 2.0, 1)):
         through.step(sample)
         for other in restored:
@@ -249,7 +251,8 @@ def test_a_restored_motor_has_the_effects_that_it_had(lossy: Observer, tmp_path:
     checkpoint.save(lossy, path)
     after = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
     checkpoint.load(after, path)
-    motor, before = after.motors['motor'], lossy.motors['motor']
+    motor = after.motors['motor']
+    before = lossy.motors['motor']
     assert motor.added_effects == ('brush_drop',)
     assert motor.effects_reason == before.effects_reason
     assert motor.estimate.value.tobytes() == before.estimate.value.tobytes()
@@ -293,7 +296,8 @@ def test_the_choice_does_not_depend_on_when_deferred_work_is_done(lossy: Observe
         eager.torque('motor', stamp, float(record.torque_nm[0, k]), w)
         if 'motor' in eager.motors:
             eager.motors['motor'].observer.run_deferred()
-    one, other = lossy.motors['motor'].estimate, eager.motors['motor'].estimate
+    one = lossy.motors['motor'].estimate
+    other = eager.motors['motor'].estimate
     assert one.value.tobytes() == other.value.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()
 

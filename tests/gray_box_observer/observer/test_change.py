@@ -12,7 +12,8 @@ from gray_box_observer.observer.observer import Result
 from gray_box_observer.settings.configuration import Configuration
 
 DRIFT = Path(__file__).resolve().parents[3] / 'bags' / 'drift'
-START_S, CHANGE_S = 1.0, 60.0
+START_S = 1.0
+CHANGE_S = 60.0
 
 
 @pytest.mark.slow

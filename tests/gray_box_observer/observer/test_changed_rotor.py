@@ -19,7 +19,9 @@ from gray_box_observer.settings.configuration import Configuration
 pytestmark = pytest.mark.slow
 
 RATE_HZ = 250.0
-LEARNT_S, FOLLOWED_S = 5.6, 2.4  # between the fits at 1370 and 2060 samples
+# between the fits at 1370 and 2060 samples
+LEARNT_S = 5.6
+FOLLOWED_S = 2.4
 HOT = replace(GEAR_MOTOR, resistance=1.15 * GEAR_MOTOR.resistance)
 CONFIGURATION = Configuration.from_flat(
     {**CONSTANTS, 'motor.speed_source': 'rotor', 'motor.stamps_exact': True}

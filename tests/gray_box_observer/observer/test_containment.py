@@ -231,7 +231,8 @@ def test_whoever_asks_gets_no_estimate_that_is_not_finite(monkeypatch):
 def test_a_defect_that_shows_when_something_is_asked_stops_its_motor_alone(monkeypatch, place, ask):
     observer = observer_of(('left', 'right'))
     feed(observer, ('left', 'right'), range(300))
-    broken, real = observer.motors['right'].observer, getattr(MotorView, place)
+    broken = observer.motors['right'].observer
+    real = getattr(MotorView, place)
     misfit = FitAssessment(FitVerdict.MISFIT, 9.0)
 
     def answer(self):
@@ -329,7 +330,8 @@ def test_state_and_samples_that_led_there_are_in_a_file_that_is_no_checkpoint(st
 
 
 def test_incident_files_are_few_and_never_take_the_place_of_another(stopped, tmp_path):
-    target, victim = tmp_path / 'state.safetensors', tmp_path / 'victim'
+    target = tmp_path / 'state.safetensors'
+    victim = tmp_path / 'victim'
     victim.write_text('mine')
     file_names(target)[0].symlink_to(victim)
     file_names(target)[1].write_text('mine too')

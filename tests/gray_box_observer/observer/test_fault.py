@@ -32,7 +32,9 @@ FAULTS = {
 class Untrained:
     """Training that never changes the network that comes with the package."""
 
-    is_resting, busy, failure = False, False, None
+    is_resting = False
+    busy = False
+    failure = None
 
     def __init__(self, _configuration: dict[str, Any]) -> None:
         pass
@@ -158,7 +160,8 @@ def test_a_gap_neither_raises_the_alarm_nor_makes_a_standing_one_fall(
 
 @pytest.mark.slow
 def test_a_saved_alarm_stands_where_it_stood(tmp_path: Path, open_brush: Recording) -> None:
-    one, other = observer(), observer()
+    one = observer()
+    other = observer()
     feed(one, open_brush, range(BREAKS + 20))
     checkpoint.save(one, tmp_path / 'c')
     checkpoint.load(other, tmp_path / 'c')
@@ -171,7 +174,8 @@ def test_a_saved_alarm_stands_where_it_stood(tmp_path: Path, open_brush: Recordi
 
 
 def test_without_a_prediction_by_the_physics_nothing_is_watched(open_brush: Recording) -> None:
-    thesis, none = observer(variant='main'), Observer(Configuration.from_flat({}), None)
+    thesis = observer(variant='main')
+    none = Observer(Configuration.from_flat({}), None)
     for one in (thesis, none):
         assert not stood(feed(one, open_brush, range(200))).any()
         assert one.motors['motor'].alarm is None

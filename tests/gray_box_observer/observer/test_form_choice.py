@@ -127,7 +127,9 @@ def copied(motor: MotorObserver) -> tuple[dict[str, Any], dict[str, np.ndarray]]
 
 @pytest.mark.slow
 def test_a_trial_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
-    through, restored, pieces = made(), [], set()
+    through = made()
+    restored = []
+    pieces = set()
     for sample in samples_of(recorded(GEAR_MOTOR, LIVELY, 1.5, 1)):
         through.step(sample)
         for other in restored:
@@ -206,7 +208,8 @@ def test_a_trial_is_judged_by_what_was_compared_when_it_began(in_trial: MotorObs
 def test_a_form_that_is_not_adopted_leaves_no_reason(in_trial: MotorObserver) -> None:
     motor = made()
     motor.restore(*copied(in_trial))
-    choice, nodes = motor.form_choice, motor.context_nodes
+    choice = motor.form_choice
+    nodes = motor.context_nodes
     assert choice.finish(nodes, FitAssessment(FitVerdict.OK, 1.0, 1.0, ()), 0) is None
     assert choice.kind.source == 'torque_constant'
     assert 'a speed of Kt i is assumed' in choice.state(0)[0]['reason']
@@ -218,7 +221,8 @@ def test_a_form_takes_over_a_long_backlog_piece_by_piece(in_trial: MotorObserver
     plain, arrays = copied(in_trial)
     arrays['speed/backlog'] = np.tile(arrays['nodes/replay'][:, :, -200:], (1, 1, 10))
     motor.restore(plain, arrays)
-    trial, taken = motor.form_choice._trial, 0
+    trial = motor.form_choice._trial
+    taken = 0
     assert trial is not None
     while True:
         try:

@@ -55,7 +55,8 @@ def stds(observer: Observer) -> dict[str, float]:
 
 
 def test_a_level_that_lasts_leaves_its_share_open(record: Recording) -> None:
-    early, late = stds(fed(record, 0, 120)), stds(fed(record, 0, 400))
+    early = stds(fed(record, 0, 120))
+    late = stds(fed(record, 0, 400))
     for name in ('resistance', 'back_emf_constant'):
         assert late[name] == pytest.approx(math.sqrt(2.0) * LOST_V / LEVEL_V, rel=0.1), name
         assert early[name] < 0.02, name
@@ -121,7 +122,8 @@ def test_motors_whose_speed_is_not_measured_have_no_such_doubt(record: Recording
 def test_who_asks_changes_nothing_and_a_checkpoint_holds_the_doubt(
     record: Recording, tmp_path: Path
 ) -> None:
-    asked, silent = fed(record, 0, 1), fed(record, 0, 1)
+    asked = fed(record, 0, 1)
+    silent = fed(record, 0, 1)
     for k in range(1, 420):
         fed(record, k, k + 1, asked)
         asked.estimates()
@@ -146,11 +148,13 @@ def test_who_asks_changes_nothing_and_a_checkpoint_holds_the_doubt(
 
 def test_a_rotor_that_stands_still_leaves_its_resistance_open() -> None:
     doubt = LevelDoubt(MotorWhiteBox(tuple(NODES), 0.03, {}, True))
-    replay, rng = ReplayBuffer(1, 512), np.random.default_rng(0)
+    replay = ReplayBuffer(1, 512)
+    rng = np.random.default_rng(0)
     for k in range(200):
         torque_nm = 0.03 * (3.0 + 0.01 * rng.standard_normal())
         replay.append(Sample.of_one_motor(10**7 * (k + 1), 0.01, 6.0, torque_nm, 0.0))
-    value, covariance = np.array([[0.004, 2.0, 0.03]]), np.diag([1e-10, 1e-8, 1e-10])[None]
+    value = np.array([[0.004, 2.0, 0.03]])
+    covariance = np.diag([1e-10, 1e-8, 1e-10])[None]
     doubt.follow(cast(Any, SimpleNamespace(replay=replay, theta=value)))
     verdicts = ((Verdict.IDENTIFIED,) * 3,)
     estimate = Estimate(0, doubt._white_box.parameters, value, covariance, verdicts)
@@ -180,7 +184,8 @@ def test_of_a_misfit_no_loss_is_looked_for() -> None:
     fed(record, 0, record.stamp_ns.size, observer)
     nodes = observer.motors['motor'].observer.context_nodes
     box = observer.motors['motor'].white_box
-    idle, doubt = LevelDoubt(box), LevelDoubt(box)
+    idle = LevelDoubt(box)
+    doubt = LevelDoubt(box)
     idle.follow(nodes, is_misfit=True)
     doubt.follow(nodes)
     assert idle.has_moved

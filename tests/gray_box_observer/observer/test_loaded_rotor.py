@@ -62,7 +62,8 @@ def test_a_load_of_either_sign_is_found_and_everything_is_right(sign: float) -> 
 @pytest.mark.slow
 def test_a_found_load_survives_a_checkpoint(tmp_path: Path) -> None:
     record = recorded(LIFTING, LIVELY, 6.0, 2)
-    one, other = observed(record), Observer(Configuration.from_flat(CONSTANTS))
+    one = observed(record)
+    other = Observer(Configuration.from_flat(CONSTANTS))
     checkpoint.save(one, tmp_path / 'one.safetensors')
     checkpoint.load(other, tmp_path / 'one.safetensors')
     for observer in (one, other):
@@ -147,7 +148,8 @@ def measured(record: Recording, **values: object) -> MotorView:
 
 
 def test_a_doubt_about_kt_is_relative_to_the_load_itself() -> None:
-    record, torque_constant = recorded(LIFTING, LIVELY, 2.0, 3), CONSTANTS['motor.torque_constant']
+    record = recorded(LIFTING, LIVELY, 2.0, 3)
+    torque_constant = CONSTANTS['motor.torque_constant']
     record = replace(record, torque_nm=record.torque_nm / torque_constant)
     stds = []
     for doubt in (0.0, 0.005):

@@ -334,7 +334,8 @@ def test_without_speed_the_sample_says_so() -> None:
 
 def test_every_message_is_accounted_for() -> None:
     taker, observer = message_input()
-    random, torques = np.random.default_rng(1), 0
+    random = np.random.default_rng(1)
+    torques = 0
     for k in range(500):
         taker.ingest('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
         kind = random.integers(4)

@@ -116,7 +116,8 @@ def test_the_observer_says_which_motors_are_mixed_up(recording: Recording) -> No
     for k, stamp_ns in enumerate((10**9 + recording.stamp_ns).tolist()):
         observer.ingest('voltage', NAMES, stamp_ns, recording.voltage_v[:, k])
         order = [1, 0, 2]
-        torque_nm, speed = recording.torque_nm[order, k], recording.speed_rad_s[order, k]
+        torque_nm = recording.torque_nm[order, k]
+        speed = recording.speed_rad_s[order, k]
         observer.ingest('torque', NAMES, stamp_ns, torque_nm, speed)
     mixed = observer.mix_up('left')
     assert mixed is not None

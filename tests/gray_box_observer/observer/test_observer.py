@@ -85,9 +85,11 @@ def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
 ) -> None:
     recording = record('R[5,15]D[0.2,3]', 30.0, torque_noise_relative=0.01)
     torque_nm = np.where(np.arange(3000) < 2500, 1.0, 0.6) * recording.torque_nm[0]
-    told, states = [], []
+    told = []
+    states = []
     for at_once, foretold in ((True, False), (False, True), (False, False)):
-        one, results = observer(InlineTraining), []
+        one = observer(InlineTraining)
+        results = []
         for k, stamp in enumerate(recording.stamp_ns.tolist()):
             taken = one.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
             if (
@@ -115,12 +117,15 @@ def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
     record: Callable[..., Recording], variant: str
 ) -> None:
     recording = record('R[5,15]D[0.05,0.5]', 12.0, torque_noise_relative=0.01)
-    stamps, draw = recording.stamp_ns.copy(), np.random.default_rng(1)
+    stamps = recording.stamp_ns.copy()
+    draw = np.random.default_rng(1)
     stamps[400:600] += draw.integers(-1_000_000, 1_000_000, 200)  # uneven: nothing can be foreseen
     stamps[800:] += 2_000_000_000  # a gap
-    told, states = [], []
+    told = []
+    states = []
     for foreseen in (False, True):
-        one, results = observer(InlineTraining, variant=variant), []
+        one = observer(InlineTraining, variant=variant)
+        results = []
         for k, stamp in enumerate(stamps.tolist()):
             results += one.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
             one.forecast('motor', stamp)
@@ -144,7 +149,8 @@ def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_someth
     record: Callable[..., Recording], names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = record('R[5,15]D[0.05,0.5]', 10.0, motors=names, torque_noise_relative=0.01)
-    told, predict = [_what_befalls(recording, foreseen=True)], MotorObserver.predict
+    told = [_what_befalls(recording, foreseen=True)]
+    predict = MotorObserver.predict
 
     def predict_anew(self: MotorObserver, *question: Any) -> Any:
         self._precomputed = None
@@ -158,9 +164,13 @@ def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_someth
 
 def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
     """Results of motors whose signals and observer meet everything, at seeded random instants."""
-    names, told, random, shift_ns = recording.motors, [], np.random.default_rng(5), 0
+    names = recording.motors
+    told = []
+    random = np.random.default_rng(5)
+    shift_ns = 0
     given: dict[str, Any] = {'motors': list(names), 'group_from': 2}
-    one, saved = observer(InlineTraining, **given), None
+    one = observer(InlineTraining, **given)
+    saved = None
     for k, stamp in enumerate((recording.stamp_ns + 1_000_000_000).tolist()):
         event = int(random.integers(0, 200))
         shift_ns += {0: 700_000_000, 1: -1_500_000_000, 2: 3_000_000}.get(
@@ -203,7 +213,8 @@ def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
 def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_voltage_comes(
     record: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording, asked = record('R[5,15]D[0.05,0.5]', 1.0), []
+    recording = record('R[5,15]D[0.05,0.5]', 1.0)
+    asked = []
     predict = Predictor.predict
 
     def counted(self: Predictor, *question: Any) -> Any:
@@ -211,7 +222,8 @@ def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_vol
         return predict(self, *question)
 
     monkeypatch.setattr(Predictor, 'predict', counted)
-    one, late = observer(InlineTraining), []
+    one = observer(InlineTraining)
+    late = []
     for k, stamp in enumerate(recording.stamp_ns.tolist()):
         one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
         before = len(asked)
@@ -242,7 +254,9 @@ def test_forecasting_changes_nothing(record: Callable[..., Recording]) -> None:
 def test_a_forecast_is_the_prediction_that_is_scored_later(
     record: Callable[..., Recording],
 ) -> None:
-    recording, one, compared = record(duration_s=6.0), observer(InlineTraining), 0
+    recording = record(duration_s=6.0)
+    one = observer(InlineTraining)
+    compared = 0
     for k, stamp in enumerate(recording.stamp_ns.tolist()):
         one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
         forecast = one.forecast('motor', stamp)
@@ -269,13 +283,12 @@ def test_a_voltage_that_is_held_leads_where_the_physics_says(
     horizon_s: float,
     torque_first: bool,
 ) -> None:
-    recording, one, far = (
-        record('R[5,15]D[0.05,1]', 8.0, solver_step_s=0.002),
-        observer(InlineTraining),
-        [],
-    )
+    recording = record('R[5,15]D[0.05,1]', 8.0, solver_step_s=0.002)
+    one = observer(InlineTraining)
+    far = []
     for k, stamp in enumerate(recording.stamp_ns.tolist()):
-        voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        voltage_v = float(recording.voltage_v[0, k])
+        torque_nm = float(recording.torque_nm[0, k])
         if torque_first:
             one.torque('motor', stamp, torque_nm)
         one.voltage('motor', stamp, voltage_v)
@@ -298,7 +311,8 @@ def test_a_voltage_that_is_held_leads_where_the_physics_says(
 def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_time(
     record: Callable[..., Recording],
 ) -> None:
-    recording, one = record(duration_s=6.0), observer(InlineTraining)
+    recording = record(duration_s=6.0)
+    one = observer(InlineTraining)
     assert one.forecast_held('motor', 0.1) is None
     feed(one, recording, 100)
     assert one.forecast_held('motor', 0.1) is not None
@@ -368,12 +382,14 @@ def test_freezing_reaches_motors_seen_before_and_after(record: Callable[..., Rec
 def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     record: Callable[..., Recording],
 ) -> None:
-    recording, one = record(duration_s=12.0), observer(InlineTraining, variant='main')
+    recording = record(duration_s=12.0)
+    one = observer(InlineTraining, variant='main')
     feed(one, recording, 400)
     forecasting = one.group_of('motor').observer.forecasting
     assert forecasting is not None
     one.freeze(True)
-    jobs, network = forecasting.training.jobs_done, forecasting.state()
+    jobs = forecasting.training.jobs_done
+    network = forecasting.state()
     results = feed(one, recording, 800)
     assert jobs > 0
     assert forecasting.training.jobs_done == jobs
@@ -432,7 +448,8 @@ def test_flush_learns_what_still_waits(record: Callable[..., Recording]) -> None
 @pytest.mark.slow
 def test_a_missing_speed_in_between_does_not_silence_the_predictor_for_good() -> None:
     one = observer(InlineTraining, **{'motor.torque_constant': 0.05})
-    random, said = np.random.default_rng(0), []
+    random = np.random.default_rng(0)
+    said = []
     for k in range(1200):
         stamp = k * 10_000_000
         one.voltage('motor', stamp, float(random.uniform(5.0, 10.0)))
@@ -473,7 +490,8 @@ def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_o
 def test_whoever_says_twice_that_learning_goes_on_begins_a_new_history_all_the_same(
     record: Callable[..., Recording], rule: str
 ) -> None:
-    recording, one = record(duration_s=6.0), observer(InlineTraining, context_update=rule)
+    recording = record(duration_s=6.0)
+    one = observer(InlineTraining, context_update=rule)
     feed(one, recording, 100)
     one.freeze(True)
     for k in range(100, 120):

@@ -32,7 +32,8 @@ def _late(record: Recording, samples: int = 3) -> Recording:
 
 def _with_memory(record: Recording, share: float) -> Recording:
     """Return the record of a sensor whose noise keeps a share of itself from sample to sample."""
-    rng, noise = np.random.default_rng(4), np.zeros(record.torque_nm.shape[1])
+    rng = np.random.default_rng(4)
+    noise = np.zeros(record.torque_nm.shape[1])
     for k, push in enumerate(rng.normal(0.0, 4e-4, noise.size - 1)):
         noise[k + 1] = share * noise[k] + push
     return replace(record, torque_nm=record.torque_nm + noise)
@@ -100,7 +101,8 @@ def test_a_delay_whose_samples_look_like_outliers_is_no_warning(seed: int) -> No
 @pytest.mark.slow
 def test_spikes_hide_no_delay() -> None:
     record = _late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1))
-    rng, torque_nm = np.random.default_rng(5), record.torque_nm.copy()
+    rng = np.random.default_rng(5)
+    torque_nm = record.torque_nm.copy()
     places = rng.choice(torque_nm.shape[1], 20, replace=False)
     torque_nm[0, places] += rng.choice([-2.0, 2.0], 20)
     fit = _fit_of(replace(record, torque_nm=torque_nm), **ROTOR)

@@ -9,10 +9,15 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.settings.configuration import Configuration
 
-INDUCTANCE, RESISTANCE, KT, INERTIA = 4e-3, 2.0, 0.02, 1e-5
-VISCOUS, COULOMB = 1e-5, 8.4e-3
+INDUCTANCE = 4e-3
+RESISTANCE = 2.0
+KT = 0.02
+INERTIA = 1e-5
+VISCOUS = 1e-5
+COULOMB = 8.4e-3
 CONSTANTS = RESISTANCE, KT
-INTERVAL_S, SUBSTEPS = 1e-3, 20
+INTERVAL_S = 1e-3
+SUBSTEPS = 20
 
 
 def watched(voltage_v: float, speed_rad_s: float, samples: int) -> StallWatch:

@@ -44,7 +44,8 @@ def feed(one: Observer, recording: Recording, start: int = 0, end: int | None = 
 
 
 def test_the_prior_of_coordinates_is_that_of_independent_parameters() -> None:
-    random, std = np.random.default_rng(3), np.array([0.1, 0.3, 0.02])
+    random = np.random.default_rng(3)
+    std = np.array([0.1, 0.3, 0.02])
     prior = Prior.of_parameters(to_coordinates(TRUTH[None]), std[None])
     theta = TRUTH * np.exp(std * random.standard_normal((200_000, 3)))
     drawn = np.cov(np.log(to_coordinates(theta)).T)
@@ -117,7 +118,8 @@ def test_a_data_sheet_that_is_too_sure_of_itself_yields_to_plain_data(
 
 @pytest.mark.slow
 def test_what_was_found_far_from_the_data_sheet_is_told(record: Callable[..., Recording]) -> None:
-    recording, told = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01), [0.2, 0.1, 0.0]
+    recording = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01)
+    told = [0.2, 0.1, 0.0]
 
     def doubt(**given: Any) -> str | None:
         one = feed(observer(TRUTH, told, **given), recording)
@@ -139,7 +141,8 @@ def test_only_what_is_identified_contradicts_only_what_was_given(
     relative_std: float, doubtful: bool
 ) -> None:
     one = observer(TRUTH, [relative_std] * 3)
-    motor, parameters = one.configuration.motors['motor'], one.estimate_of('motor')[0].parameters
+    motor = one.configuration.motors['motor']
+    parameters = one.estimate_of('motor')[0].parameters
     value = np.array([TRUTH * 1.6])
     covariance = np.diag((0.001 * value[0]) ** 2)[None]
     sure = Estimate(0, parameters, value, covariance, ((Verdict.IDENTIFIED,) * 3,))
@@ -200,7 +203,8 @@ def test_with_little_data_the_error_is_what_the_covariance_says(
     record: Callable[..., Recording],
 ) -> None:
     """Data sheets drawn by their own uncertainty: mean squared errors equal the unknowns."""
-    std, squares = np.array([0.05, 0.1, 0.2]), []
+    std = np.array([0.05, 0.1, 0.2])
+    squares = []
     random = np.random.default_rng(11)
     for seed in range(20):
         recording = record('R[1,2]D[3,3]', 4.0, seed=seed, torque_noise_relative=0.05)

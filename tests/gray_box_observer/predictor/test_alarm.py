@@ -20,7 +20,8 @@ SPREAD_NM = 2e-3
 def watch(alarm: ResidualAlarm, residuals: np.ndarray, identified: bool = True) -> np.ndarray:
     """Feed residuals of shape (sample, motor); return whether the alarm stood after each."""
     motors = residuals.shape[1]
-    interval, known = np.full(motors, INTERVAL_S), np.full(motors, identified)
+    interval = np.full(motors, INTERVAL_S)
+    known = np.full(motors, identified)
     return np.array([alarm.update(row, interval, known) for row in residuals])
 
 
@@ -40,14 +41,18 @@ def rules(samples_between: float) -> AlarmSettings:
 
 @pytest.mark.slow
 def test_false_alarms_come_as_often_as_stated() -> None:
-    alarm, motors, between = ResidualAlarm(400, rules(2000.0)), 400, 2000.0
+    alarm = ResidualAlarm(400, rules(2000.0))
+    motors = 400
+    between = 2000.0
     watch(alarm, noise(4000, motors, 0))
     expected = motors * 3000.0 / between  # the first thousand samples teach the spread
     assert 0.6 * expected < alarm.count.sum() < 1.5 * expected
 
 
 def test_residuals_that_hang_together_raise_no_more_false_alarms_than_stated() -> None:
-    alarm, motors, between = ResidualAlarm(400, rules(2000.0)), 400, 2000.0
+    alarm = ResidualAlarm(400, rules(2000.0))
+    motors = 400
+    between = 2000.0
     watch(alarm, noise(4000, motors, 1, correlation=0.7))
     assert alarm.count.sum() < 1.5 * motors * 3000.0 / between
 
@@ -107,7 +112,8 @@ def test_samples_without_prediction_and_gaps_change_nothing() -> None:
 
 
 def test_what_is_restored_goes_on_alike() -> None:
-    alarm, twin = ResidualAlarm(2), ResidualAlarm(2)
+    alarm = ResidualAlarm(2)
+    twin = ResidualAlarm(2)
     watch(alarm, noise(1777, 2, 11))
     for motor in range(2):
         twin.restore(alarm.state(motor), motor)
@@ -132,10 +138,8 @@ def test_a_motor_alone_is_watched_as_it_is_among_others() -> None:
     residuals = noise(6000, 3, seed=5)
     residuals[4000:4300, 1] += 3.0 * SPREAD_NM
     residuals[::700, 2] = np.nan
-    together, alone = (
-        ResidualAlarm(3, rules(500.0)),
-        [ResidualAlarm(1, rules(500.0)) for _ in range(3)],
-    )
+    together = ResidualAlarm(3, rules(500.0))
+    alone = [ResidualAlarm(1, rules(500.0)) for _ in range(3)]
     stands = watch(together, residuals)
     for motor, one in enumerate(alone):
         np.testing.assert_array_equal(

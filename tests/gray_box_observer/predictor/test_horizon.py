@@ -74,7 +74,8 @@ def go_on(one: Forecasting, voltage_v: np.ndarray, motors: int, first: bool = Fa
 def test_a_forecast_says_what_streaming_will_say_if_the_voltage_is_held(
     idle: Any, steps: int, motors: int
 ) -> None:
-    one, held_v = warmed(idle, motors, correction()), HELD_V[:motors]
+    one = warmed(idle, motors, correction())
+    held_v = HELD_V[:motors]
     said = one.forecast(steps * INTERVAL_S, held_v, TRUTH[:motors])
     alone = warmed(idle, motors, None).forecast(steps * INTERVAL_S, held_v, TRUTH[:motors])
     for _ in range(steps):
@@ -134,7 +135,8 @@ def test_before_a_history_begins_nothing_is_said() -> None:
 def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remembered_then(
     idle: Any,
 ) -> None:
-    silenced, never = warmed(idle, 1, correction()), warmed(idle, 1, None)
+    silenced = warmed(idle, 1, correction())
+    never = warmed(idle, 1, None)
     silenced.predictor.residual.adopt(
         correction(0.0).arrays(), newest(silenced.training.replay, LONGEST)
     )
@@ -152,7 +154,9 @@ def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(i
     mute = replace(
         learnt, weights=replace(learnt.weights, output=np.zeros(8))
     )  # the linear part alone
-    always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
+    always = warmed(idle, 1, mute)
+    late = warmed(idle, 1, None)
+    forgetful = warmed(idle, 1, None)
     late.predictor.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
     forgetful.predictor.residual.adopt(mute.arrays())
     said = [go_on(one, HELD_V[:1], 1).torque_nm[0] for one in (always, late, forgetful)]

@@ -22,7 +22,8 @@ def test_the_shipped_network_fits_the_default_rules_and_is_small() -> None:
 
 @pytest.mark.slow
 def test_the_shipped_network_knows_motors_that_never_taught_it() -> None:
-    trained, untrained = held_out_errors(load(SHIPPED), 12345), held_out_errors(fresh(12, 0), 12345)
+    trained = held_out_errors(load(SHIPPED), 12345)
+    untrained = held_out_errors(fresh(12, 0), 12345)
     assert trained.mean() < 0.0015
     assert trained.mean() < 0.4 * untrained.mean()
     assert np.quantile(trained, 0.99) < 0.03

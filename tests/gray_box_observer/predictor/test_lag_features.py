@@ -34,7 +34,8 @@ def test_a_held_signal_is_approached_as_by_a_first_order_lag() -> None:
 
 
 def test_how_an_interval_is_cut_makes_no_difference() -> None:
-    held, start = (np.array([3.0]), np.array([-7.0])), np.full((1, SIGNALS, LADDER.size), 1.5)
+    held = (np.array([3.0]), np.array([-7.0]))
+    start = np.full((1, SIGNALS, LADDER.size), 1.5)
     cut = start
     for part in (0.25, 3.0, 11.0):
         cut = advance(cut, *held, np.array([part]))
@@ -43,7 +44,8 @@ def test_how_an_interval_is_cut_makes_no_difference() -> None:
 
 def test_streaming_and_a_whole_history_and_its_end_at_once_agree() -> None:
     voltage, speed, intervals = signals()
-    streamed, whole = blank(2), along(voltage, speed, intervals, blank(2))
+    streamed = blank(2)
+    whole = along(voltage, speed, intervals, blank(2))
     for k in range(voltage.shape[1]):
         streamed = advance(streamed, voltage[:, k], speed[:, k], intervals[:, k])
         np.testing.assert_allclose(whole[:, k], streamed, rtol=1e-9, atol=1e-9)

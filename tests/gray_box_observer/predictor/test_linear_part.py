@@ -21,7 +21,8 @@ def run(seed: int, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
     """Features of a motor with occasional voltage steps, and a rotor's lag of 20 samples."""
     random = np.random.default_rng(seed)
     voltage = np.repeat(random.uniform(0.0, 10.0, count // 30), 30)[None]
-    current, speed = 0.2 * voltage, np.zeros_like(voltage)
+    current = 0.2 * voltage
+    speed = np.zeros_like(voltage)
     passed = along(voltage, speed, np.ones_like(voltage), blank(1))
     lag = np.zeros_like(voltage)
     for k in range(1, count):
@@ -39,7 +40,8 @@ def still(voltage_v: np.ndarray) -> np.ndarray:
 
 def wander(seed: int, samples: float) -> np.ndarray:
     """Noise that hangs together over so many samples, of size one; shape (1, 3000)."""
-    left, noise = np.exp(-1.0 / samples), np.random.default_rng(seed).standard_normal((1, 3000))
+    left = np.exp(-1.0 / samples)
+    noise = np.random.default_rng(seed).standard_normal((1, 3000))
     for k in range(1, noise.shape[1]):
         noise[:, k] = left * noise[:, k - 1] + np.sqrt(1.0 - left**2) * noise[:, k]
     return noise
@@ -47,7 +49,8 @@ def wander(seed: int, samples: float) -> np.ndarray:
 
 def test_least_squares_finds_the_weights_that_made_the_data() -> None:
     random = np.random.default_rng(0)
-    seen, weight = random.standard_normal((2, 500, FEATURES)), random.standard_normal(FEATURES)
+    seen = random.standard_normal((2, 500, FEATURES))
+    weight = random.standard_normal(FEATURES)
     part = LinearPart.fit(seen, seen @ weight)
     np.testing.assert_allclose(part.weight, weight, rtol=1e-4)
     np.testing.assert_array_equal(part.reach, np.abs(seen).max(axis=(0, 1)))

@@ -14,7 +14,8 @@ from gray_box_observer.white_box.torch_ops import TorchOps
 
 def stream(weights: Weights, inputs: np.ndarray) -> np.ndarray:
     """Outputs for inputs of shape (motor, time, input)."""
-    memory, outputs = Memory.blank(inputs.shape[0], weights.hidden), []
+    memory = Memory.blank(inputs.shape[0], weights.hidden)
+    outputs = []
     for k in range(inputs.shape[1]):
         output, memory = step(weights, memory, inputs[:, k])
         outputs.append(output)
@@ -65,9 +66,11 @@ def test_huge_inputs_do_not_overflow() -> None:
 
 @pytest.mark.parametrize('order', ['C', 'F'])
 def test_a_step_leaves_what_it_was_given_and_may_be_taken_again(order: Literal['C', 'F']) -> None:
-    random, weights = np.random.default_rng(0), Weights.initial(1, 3, 0)
+    random = np.random.default_rng(0)
+    weights = Weights.initial(1, 3, 0)
     hidden, cell, inputs = (np.asarray(random.normal(size=(2, n)), order=order) for n in (3, 3, 1))
-    memory, before = Memory(hidden, cell), (hidden.copy(), cell.copy(), inputs.copy())
+    memory = Memory(hidden, cell)
+    before = (hidden.copy(), cell.copy(), inputs.copy())
     first, second = (step(weights, memory, inputs) for _ in range(2))
     for array, was in zip((hidden, cell, inputs), before, strict=True):
         np.testing.assert_array_equal(array, was)
@@ -78,7 +81,9 @@ def test_a_step_leaves_what_it_was_given_and_may_be_taken_again(order: Literal['
 
 @pytest.mark.parametrize('order', ['C', 'F'])
 def test_torch_takes_the_same_step(order: Literal['C', 'F']) -> None:
-    ops, random, weights = TorchOps('cpu'), np.random.default_rng(0), Weights.initial(5, 12, 0)
+    ops = TorchOps('cpu')
+    random = np.random.default_rng(0)
+    weights = Weights.initial(5, 12, 0)
     hidden, cell, inputs = (
         np.asarray(random.normal(size=(9, n)), order=order) for n in (12, 12, 5)
     )
@@ -108,9 +113,11 @@ def test_moving_the_ranges_leaves_what_the_network_computes(seed: int) -> None:
         return Normalisation(ranges[0], ranges[1], ranges[2] if with_speed else None)
 
     with_speed = bool(seed % 2)
-    old, new = draw(with_speed), draw(with_speed)
+    old = draw(with_speed)
+    new = draw(with_speed)
     weights = Weights.initial(5 if with_speed else 4, 7, seed)
-    voltage, speed = random.normal(size=(2, 50)) * 10.0, random.normal(size=(2, 50)) * 100.0
+    voltage = random.normal(size=(2, 50)) * 10.0
+    speed = random.normal(size=(2, 50)) * 100.0
     theta = random.normal(size=(2, 50, 3))
 
     def predict(network: Weights, ranges: Normalisation) -> np.ndarray:

@@ -84,7 +84,10 @@ def test_a_motor_never_seen_is_predicted_from_its_parameters(idle: Any, seed: in
 
 def samples(recording: Recording, every: int = 1, jitter: bool = False) -> list[Sample]:
     """Samples at every n-th stamp (with jitter one to n apart), with the mean voltage."""
-    random, k, made, last = np.random.default_rng(0), 0, [], 0
+    random = np.random.default_rng(0)
+    k = 0
+    made = []
+    last = 0
     while k < recording.stamp_ns.size:
         held = recording.voltage_v[:, last:k].mean(axis=1) if k else recording.voltage_v[:, 0]
         interval = np.full(
@@ -133,7 +136,8 @@ def test_after_a_step_of_the_resistance_the_error_is_back_with_the_identified_va
         solver_step_s=0.002,
         schedule=['m.resistance=1.3@10'],
     ).record(20.0)
-    one, said = predictor(thesis_box, idle), []
+    one = predictor(thesis_box, idle)
+    said = []
     for k, s in enumerate(samples(recording)):
         theta = TRUTH if k <= 1000 else np.array([[0.5, 1.3, 10.0]])
         prediction = one.predict(s.interval_s, s.voltage_v, theta)
@@ -145,9 +149,11 @@ def test_after_a_step_of_the_resistance_the_error_is_back_with_the_identified_va
 def test_predicting_changes_nothing(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    asked, silent = predictor(thesis_box, idle), predictor(thesis_box, idle)
+    asked = predictor(thesis_box, idle)
+    silent = predictor(thesis_box, idle)
     some = samples(record('R[5,15]D[0.2,2]', 4.0))
-    expected, said = run(silent, some), []
+    expected = run(silent, some)
+    said = []
     for s in some:
         for voltage in (-5.0, 40.0):
             asked.predict(s.interval_s, np.array([voltage]), 2.0 * TRUTH)
@@ -159,7 +165,8 @@ def test_predicting_changes_nothing(
 def test_it_predicts_from_the_second_sample_of_a_history_on(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    one, some = predictor(thesis_box, idle), samples(record('R[5,15]D[0.2,2]', 4.0))
+    one = predictor(thesis_box, idle)
+    some = samples(record('R[5,15]D[0.2,2]', 4.0))
     for _ in range(2):  # the second time it is a restart
         said = run(one, some)[0]
         assert np.isnan(said[0])
@@ -197,7 +204,8 @@ def test_motors_together_are_predicted_as_each_alone(idle: Any) -> None:
     known = {'back_emf_constant': np.array([0.01, 0.01])}
     both = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), np.array([0.01, 0.01]), known)
     alone = MotorWhiteBox(both.context_nodes, 0.01, {'back_emf_constant': 0.01})
-    theta, together = np.array([[0.5, 1.0, 10.0], [0.5, 2.0, 10.0]]), samples(recording)
+    theta = np.array([[0.5, 1.0, 10.0], [0.5, 2.0, 10.0]])
+    together = samples(recording)
     together[200].interval_s[1] = 0.0  # the second motor's history begins anew
     said = run(predictor(both, idle, 2), together, theta)
     for m in range(2):
@@ -217,9 +225,15 @@ def test_motors_together_are_predicted_as_each_alone(idle: Any) -> None:
 def test_every_white_box_is_served_with_measured_speed_too(
     box: MotorWhiteBox, theta: list[float], idle: Any
 ) -> None:
-    one, truth, interval_s = predictor(box, idle), np.array([theta]), 0.01
-    random, current, voltage, speed = np.random.default_rng(0), 0.0, 0.0, 0.0
-    said, true = [], []
+    one = predictor(box, idle)
+    truth = np.array([theta])
+    interval_s = 0.01
+    random = np.random.default_rng(0)
+    current = 0.0
+    voltage = 0.0
+    speed = 0.0
+    said = []
+    true = []
     for k in range(400):
         torque = float(box.output(current))  # type: ignore[arg-type]
         sample = Sample.of_one_motor(
@@ -234,7 +248,8 @@ def test_every_white_box_is_served_with_measured_speed_too(
         said.append(float(prediction.torque_nm[0]))
         true.append(torque)
         if k % 40 == 0:
-            voltage, speed = float(random.uniform(-12.0, 12.0)), float(random.uniform(-20.0, 20.0))
+            voltage = float(random.uniform(-12.0, 12.0))
+            speed = float(random.uniform(-20.0, 20.0))
             if box.speed_measured:  # it holds from here on, so this sample is the one that tells it
                 one.predictor.speed_rad_s = np.array([speed])
         way = course(Floats, box, theta, voltage, speed, 0.0)
@@ -243,7 +258,8 @@ def test_every_white_box_is_served_with_measured_speed_too(
 
 
 def test_whatever_comes_what_is_said_is_finite(thesis_box: MotorWhiteBox, idle: Any) -> None:
-    one, random = predictor(thesis_box, idle), np.random.default_rng(0)
+    one = predictor(thesis_box, idle)
+    random = np.random.default_rng(0)
     for k in range(500):
         theta = TRUTH * 10.0 ** random.uniform(-6, 6, (1, 3))
         voltage, torque = (float(random.normal() * 10.0 ** random.uniform(-9, 9)) for _ in range(2))
@@ -260,7 +276,8 @@ def test_whatever_comes_what_is_said_is_finite(thesis_box: MotorWhiteBox, idle: 
 def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    one, some = predictor(thesis_box, idle), samples(record('R[5,15]D[0.2,2]', 4.0))
+    one = predictor(thesis_box, idle)
+    some = samples(record('R[5,15]D[0.2,2]', 4.0))
     wild = Weights(
         **{name: 1e3 * np.sign(array) for name, array in Weights.initial(5, 12, 0).arrays().items()}
     )
@@ -296,7 +313,8 @@ def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
 def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    some, listening = samples(record('R[5,15]D[0.2,2]', 15.0)), (idle, type(idle)())
+    some = samples(record('R[5,15]D[0.2,2]', 15.0))
+    listening = (idle, type(idle)())
     for one_of, brought in zip(
         listening, (np.nan, 3.0), strict=True
     ):  # where speed_source is torque_constant
@@ -321,7 +339,9 @@ class Told:
     failure = None
 
     def __init__(self, **answer: Any) -> None:
-        self.answer, self.jobs, self.busy = answer, 0, False
+        self.answer = answer
+        self.jobs = 0
+        self.busy = False
 
     def submit(self, job: dict[str, Any]) -> None:
         """Take a job."""
@@ -382,10 +402,8 @@ def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_ta
 ) -> None:
     better = Weights.initial(5, 12, 7)
     told = Told(windows=1, loss=0.5, settled=False, **better.arrays())
-    one, some = (
-        predictor(thesis_box, told, rules=TrainingSettings(start='fresh')),
-        samples(record('R[5,15]D[0.2,2]', 10.0)),
-    )
+    one = predictor(thesis_box, told, rules=TrainingSettings(start='fresh'))
+    some = samples(record('R[5,15]D[0.2,2]', 10.0))
     one.training.freeze(True)
     run(one, some[:500])
     assert told.jobs == 0
@@ -400,7 +418,8 @@ def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_mov
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:
     told = Told(windows=0, settled=True)
-    one, some = predictor(thesis_box, told), samples(record('R[5,15]D[0.2,2]', 30.0))
+    one = predictor(thesis_box, told)
+    some = samples(record('R[5,15]D[0.2,2]', 30.0))
     rounds = []
     submit = told.submit
     told.submit = lambda job: (rounds.append(job) if job['residual'] else None, submit(job))[1]  # type: ignore[method-assign]
@@ -422,7 +441,8 @@ def test_many_motors_are_predicted_alike_on_a_device(
 ) -> None:
     """Torch against numpy, with pauses, missing values, and voltages that move or are held."""
     monkeypatch.setattr(predictor_module, 'DEVICE_FROM', 2)
-    motors, random = 7, np.random.default_rng(1)
+    motors = 7
+    random = np.random.default_rng(1)
     constant = random.uniform(0.5, 2.0, motors)
     known = {name: value * constant for name, value in box.known.items()}
     many = MotorWhiteBox(
@@ -453,7 +473,8 @@ def test_many_motors_are_predicted_alike_on_a_device(
         )
         interval = np.where(random.random(motors) < 0.03, 0.0, 0.01) if k else np.zeros(motors)
         present = None if random.random() < 0.7 else random.random(motors) < 0.9
-        torque, speed = random.normal(0.0, 0.05, motors), random.normal(0.0, 5.0, motors)
+        torque = random.normal(0.0, 0.05, motors)
+        speed = random.normal(0.0, 5.0, motors)
         sample = Sample(k * 10_000_000, interval, voltage, torque, speed, present)
         said = [one.predict(interval, voltage, values) for one in both]
         if said[1].memory is not None:

@@ -65,7 +65,8 @@ def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[...,
 def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     physics: Weights, measured: Callable[..., History]
 ) -> None:
-    trainer, data = ResidualTrainer(0), measured(friction)
+    trainer = ResidualTrainer(0)
+    data = measured(friction)
     learnt = [ResidualModel.from_arrays(trainer.learn(physics, [data])) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.8
@@ -91,7 +92,8 @@ def test_what_held_out_samples_do_not_bear_out_is_not_used(
 
 def test_white_noise_has_no_structure_and_a_ripple_has() -> None:
     random = np.random.default_rng(1)
-    white, predicted = random.standard_normal((2, 4000)), 10.0 * random.standard_normal((2, 4000))
+    white = random.standard_normal((2, 4000))
+    predicted = 10.0 * random.standard_normal((2, 4000))
     assert not worth_learning(white, predicted)
     assert worth_learning(white + np.sin(0.05 * np.arange(4000)), predicted)
     assert not worth_learning(1e-4 * np.sin(0.05 * np.arange(4000))[None], predicted[:1])
@@ -130,7 +132,9 @@ def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:
 
 def piece(history: History, first: int, end: int, cut: bool = False) -> History:
     """Some intervals as a history of its own, which starts at the measured current."""
-    whole, current_a, span = history.sequences, history.current_a, slice(first, end)
+    whole = history.sequences
+    current_a = history.current_a
+    span = slice(first, end)
     sequences = replace(
         whole,
         voltage_v=whole.voltage_v[:, span],
@@ -157,13 +161,12 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
     loud = Weights.initial(INPUTS, 4, 0)
     support = np.zeros((BINS, BINS))
     support[BINS // 2 :, BINS // 2 :] = 1000.0
-    network, size = replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0])
+    network = replace(loud, output=1e3 * loud.output)
+    size = np.array([10.0, 2.0, 1.0])
     learnt = ResidualModel(network, LinearPart.silent(), size, 0.3, 1.0, support, 0.01)
-    readout, current, voltage = (
-        np.array([1e6, -1e6, 1e6]),
-        np.array([1.0, 1.0, -1.0]),
-        np.array([5.0, 5.0, -5.0]),
-    )
+    readout = np.array([1e6, -1e6, 1e6])
+    current = np.array([1.0, 1.0, -1.0])
+    voltage = np.array([5.0, 5.0, -5.0])
     seen = features(voltage, current, np.zeros(3), np.zeros(3), lag_features.blank(3))
     np.testing.assert_allclose(learnt.current(readout, seen), [0.3, -0.3, 0.0], rtol=0.01)
     steep = LinearPart(np.full(FEATURES, 1e6), np.full(FEATURES, 10.0))
@@ -192,10 +195,8 @@ def test_arrays_give_the_same_correction_back() -> None:
 def test_it_is_taught_on_the_device_that_it_was_given_and_so_is_what_is_restored(
     physics: Weights, measured: Callable[..., History], taught_on: list[str]
 ) -> None:
-    one, other = (
-        ResidualTrainer(0, 'cpu:0'),
-        ResidualTrainer(0, 'cpu:0'),
-    )  # the processor by another name
+    one = ResidualTrainer(0, 'cpu:0')
+    other = ResidualTrainer(0, 'cpu:0')  # the processor by another name
     assert one.learn(physics, [measured(friction)], steps=1)
     other.restore(one.state())
     assert taught_on == ['cpu:0', 'cpu:0']

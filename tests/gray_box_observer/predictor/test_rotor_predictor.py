@@ -84,7 +84,8 @@ def test_no_measurement_enters_the_run() -> None:
 
 
 def test_a_prediction_changes_nothing() -> None:
-    one, record = predictor(), trajectory(50)
+    one = predictor()
+    record = trajectory(50)
     followed(one, record)
     now = sample(50, 3.0, 0.0)
     first, second = (one.predict(now.interval_s, now.voltage_v, THETA) for _ in range(2))
@@ -93,7 +94,8 @@ def test_a_prediction_changes_nothing() -> None:
 
 
 def test_a_new_history_waits_for_its_speed() -> None:
-    one, record = predictor(), trajectory(50)
+    one = predictor()
+    record = trajectory(50)
     followed(one, record)
     again = np.array([p.torque_nm[0] for p in followed(one, record, known_from=20)])
     assert np.isnan(again[:21]).all()
@@ -101,7 +103,8 @@ def test_a_new_history_waits_for_its_speed() -> None:
 
 
 def test_a_speed_that_is_known_vaguely_begins_a_run_after_a_while() -> None:
-    one, predicted = predictor(), []
+    one = predictor()
+    predicted = []
     for place, (volt, current, speed) in enumerate(trajectory(100).T.tolist()):
         now = sample(place, volt, current)
         said = one.predict(now.interval_s, now.voltage_v, THETA)
@@ -112,7 +115,8 @@ def test_a_speed_that_is_known_vaguely_begins_a_run_after_a_while() -> None:
 
 @pytest.mark.parametrize('horizon_s', [1e-3, 0.02, 2.0])
 def test_a_held_voltage_leads_where_the_samples_would(horizon_s: float) -> None:
-    one, record = predictor(), trajectory(200)
+    one = predictor()
+    record = trajectory(200)
     followed(one, record)
     count = round(horizon_s / STEP_S)
     begin = record[1:, -1].copy()
@@ -123,7 +127,8 @@ def test_a_held_voltage_leads_where_the_samples_would(horizon_s: float) -> None:
 
 
 def test_a_held_voltage_may_follow_what_was_predicted() -> None:
-    one, record = predictor(), trajectory(200)
+    one = predictor()
+    record = trajectory(200)
     followed(one, record)
     now = sample(200, 6.0, 0.0)
     since = one.predict(now.interval_s, now.voltage_v, THETA)
@@ -133,7 +138,8 @@ def test_a_held_voltage_may_follow_what_was_predicted() -> None:
 
 
 def test_values_that_cannot_be_run_predict_nothing() -> None:
-    one, record = predictor(), trajectory(100)
+    one = predictor()
+    record = trajectory(100)
     followed(one, record)
     absurd = THETA * np.array([1e-9, 1e-9, 1e-9, 1.0, 1.0])
     now = sample(100, 12.0, 0.0)
@@ -142,7 +148,8 @@ def test_values_that_cannot_be_run_predict_nothing() -> None:
 
 
 def test_what_was_saved_is_taken_back() -> None:
-    one, other = predictor(), predictor()
+    one = predictor()
+    other = predictor()
     followed(one, trajectory(300))
     saved = one.state()
     other.restore(saved)
@@ -155,7 +162,8 @@ def test_what_was_saved_is_taken_back() -> None:
 
 def test_a_restored_predictor_begins_its_run_where_the_saved_one_does() -> None:
     """How well the speed must be known is a share of the no-load speed at the largest voltage."""
-    one, other = predictor(), predictor()
+    one = predictor()
+    other = predictor()
     followed(one, trajectory(300))
     other.restore(one.state())
     vague = SpeedEstimate(20.0, 3.0)
@@ -209,7 +217,8 @@ def test_what_the_white_box_lacks_is_learnt_beside_it() -> None:
 def test_a_trainer_goes_on_from_what_another_told() -> None:
     rules = TrainingSettings()
     configuration = {'white_box': BOX.to_dict(), 'rules': rules.to_dict(), 'seed': 1}
-    one, other = RotorTrainer(configuration), RotorTrainer(configuration)
+    one = RotorTrainer(configuration)
+    other = RotorTrainer(configuration)
     told = one.train({**job(lambda volt: 0.0), 'residual': True, 'residual_anew': True})
     assert told['settled']
     start = {f'start_{name}': value for name, value in told.items() if name[:9] == 'learning_'}

@@ -83,7 +83,8 @@ def test_the_steady_state_is_where_bisection_finds_it(
 @pytest.mark.parametrize('guess', [0.0, 1e-3, -50.0, 1e6, -1e12])
 @pytest.mark.parametrize('voltage', [0.39, -0.41, 5.0, 1e-9])
 def test_brushes_do_not_trap_newton(guess: float, voltage: float) -> None:
-    box, theta = MotorWhiteBox(('inductance', 'resistance', 'brush_drop'), 0.01), [0.5, 0.01, 0.4]
+    box = MotorWhiteBox(('inductance', 'resistance', 'brush_drop'), 0.01)
+    theta = [0.5, 0.01, 0.4]
     way = course(Floats, box, theta, voltage, 0.0, guess)
     assert abs(gap(box, theta, voltage, way.steady_a)) < 1e-9 * abs(voltage)
 
@@ -113,11 +114,10 @@ def test_the_flow_is_what_scipy_integrates(
 
 
 def test_the_flow_follows_the_closed_form_of_the_thesis_motor(thesis_box: MotorWhiteBox) -> None:
-    r, k, voltage = (
-        1.0 + 1e-4,
-        0.1,
-        10.0,
-    )  # L di/dt = V - r i - k i^2 from rest: i = 2 V tanh(x) / (s + r tanh(x))
+    # L di/dt = V - r i - k i^2 from rest: i = 2 V tanh(x) / (s + r tanh(x))
+    r = 1.0 + 1e-4
+    k = 0.1
+    voltage = 10.0
     s = math.sqrt(r * r + 4.0 * k * voltage)
     way = lead(thesis_box, [0.5, 1.0, 10.0], voltage)
     for time_s in (1e-6, 0.01, 0.1, 0.5, 3.0):
@@ -190,10 +190,8 @@ def test_floats_and_arrays_say_the_same(box: MotorWhiteBox, theta: list[float]) 
         np, box, columns, voltages, np.full(voltages.size, SPEED), np.zeros(voltages.size)
     )
     interval = relaxation(np, box, ways, starts, np.full(voltages.size, 0.2))
-    ends, flows = (
-        after(np, interval, np.full(voltages.size, 0.7)),
-        flow(np, box, ways, starts, 0.2, 0.02),
-    )
+    ends = after(np, interval, np.full(voltages.size, 0.7))
+    flows = flow(np, box, ways, starts, 0.2, 0.02)
     for k, (voltage, start) in enumerate(CASES):
         way = lead(box, theta, voltage)
         alone = relaxation(Floats, box, way, start, 0.2)
@@ -208,7 +206,8 @@ def test_floats_and_arrays_say_the_same(box: MotorWhiteBox, theta: list[float]) 
 def test_wild_parameters_and_voltages_stay_finite_and_small_inputs(
     box: MotorWhiteBox, theta: list[float], seed: int
 ) -> None:
-    random, count = np.random.default_rng(seed), 200
+    random = np.random.default_rng(seed)
+    count = 200
     wild = [np.clip(v * 10.0 ** random.uniform(-8, 8, count), 1e-8, 1e6) for v in theta]
     voltage, start = (
         random.normal(size=count) * 10.0 ** random.uniform(-12, 9, count) for _ in range(2)
@@ -236,17 +235,16 @@ def test_wild_parameters_and_voltages_stay_finite_and_small_inputs(
 @pytest.mark.parametrize('intervals_s', [(0.01, 0.01, 0.01), (1e-4, 0.3, 10.0)])
 def test_every_motor_flows_as_it_would_alone(ops: Any, intervals_s: tuple[float, ...]) -> None:
     of = np.asarray if ops is np else ops.taken
-    theta, starts = (
-        np.array([[0.5, 1.0, 10.0], [0.1, 2.0, 5.0], [0.02, 0.5, 20.0]]),
-        np.array([0.0, 3.0, -2.0]),
-    )
+    theta = np.array([[0.5, 1.0, 10.0], [0.1, 2.0, 5.0], [0.02, 0.5, 20.0]])
+    starts = np.array([0.0, 3.0, -2.0])
     constant = np.full(3, 0.01)
     box = MotorWhiteBox(
         ('inductance', 'resistance', 'hysteresis'),
         of(constant),
         {'back_emf_constant': of(constant)},
     )
-    voltage, interval_s = of(np.array([12.0, -7.0, 5.0])), of(np.array(intervals_s))
+    voltage = of(np.array([12.0, -7.0, 5.0]))
+    interval_s = of(np.array(intervals_s))
     way = course(ops, box, list(of(theta).T), voltage, 0.0 * voltage, 0.0 * voltage)
     ends = flow_each(ops, box, way, of(starts), interval_s)
     for k in range(3):

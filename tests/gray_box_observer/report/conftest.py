@@ -21,7 +21,8 @@ TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 
 def held_voltage(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Levels drawn from 5 to 15 V, each held for 1 to 6 s."""
-    voltage, start = np.empty(len(time_s)), float(time_s[0])
+    voltage = np.empty(len(time_s))
+    start = float(time_s[0])
     while start <= time_s[-1]:
         voltage[time_s >= start] = rng.uniform(5.0, 15.0)
         start += rng.uniform(1.0, 6.0)
@@ -30,7 +31,8 @@ def held_voltage(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 def torque_of(time_s: FloatArray, voltage_v: FloatArray) -> FloatArray:
     """Thesis motor by many small Euler steps: 0.5 H, 1 ohm, hysteresis 10, Kt 0.01."""
-    current, torque = 0.0, np.empty(len(time_s))
+    current = 0.0
+    torque = np.empty(len(time_s))
     step_s = float(time_s[1] - time_s[0]) / 10.0
     for k, volts in enumerate(voltage_v):
         torque[k] = 0.01 * current

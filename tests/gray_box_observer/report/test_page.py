@@ -32,7 +32,10 @@ class Elements(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.tags, self.words, self.scripts, self._raw = [], [], [], False
+        self.tags = []
+        self.words = []
+        self.scripts = []
+        self._raw = False
         self.feed(page)
 
     def handle_starttag(self, tag, attrs):

@@ -16,7 +16,9 @@ def test_a_short_series_stays_whole():
 
 def test_the_extremes_of_every_bucket_stay_against_a_plain_loop():
     rng = np.random.default_rng(3)
-    times, values, buckets = np.sort(rng.uniform(0.0, 7.0, 5_000)), rng.normal(size=5_000), 40
+    times = np.sort(rng.uniform(0.0, 7.0, 5_000))
+    values = rng.normal(size=5_000)
+    buckets = 40
     kept = set(thinned(times, values, drawn_whole=100, buckets=buckets).tolist())
     edges = times[0] + np.arange(buckets + 1) / buckets * (times[-1] - times[0])
     wanted = {0, len(times) - 1}
@@ -27,8 +29,10 @@ def test_the_extremes_of_every_bucket_stay_against_a_plain_loop():
 
 
 def test_one_lonely_peak_in_a_million_samples_survives():
-    times, values = np.arange(1e6) * 1e-3, np.zeros(1_000_000)
-    values[123_457], values[654_321] = 1.0, -1.0
+    times = np.arange(1e6) * 1e-3
+    values = np.zeros(1_000_000)
+    values[123_457] = 1.0
+    values[654_321] = -1.0
     kept = thinned(times, values)
     assert {123_457, 654_321} <= set(kept.tolist())
     assert len(kept) < 10_000
@@ -36,7 +40,8 @@ def test_one_lonely_peak_in_a_million_samples_survives():
 
 
 def test_a_gap_of_missing_values_stays_a_gap():
-    times, values = np.arange(10_000.0), np.ones(10_000)
+    times = np.arange(10_000.0)
+    values = np.ones(10_000)
     values[3_000:4_000] = np.nan
     kept = thinned(times, values, drawn_whole=100, buckets=50)
     assert np.isnan(values[kept]).any()

@@ -68,7 +68,8 @@ def test_the_drift_is_the_weighted_straight_line_that_scipy_fits() -> None:
 
 def test_the_standard_deviation_of_the_drift_covers_what_the_stated_ones_leave_out() -> None:
     """Estimates that scatter with the temperature, ten times as far as each says."""
-    random, errors = np.random.default_rng(6), []
+    random = np.random.default_rng(6)
+    errors = []
     months = np.arange(24.0)
     for _ in range(200):
         value = 1.0 + 0.01 * months + 0.05 * random.normal(size=24)

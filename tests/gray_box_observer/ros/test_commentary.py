@@ -179,7 +179,8 @@ def test_a_defect_that_shows_while_choices_are_told_stops_its_motor_and_the_rest
         for name in ('left', 'right'):
             run.observer.voltage(name, k * 10_000_000, 5.0 + k // 7 % 3)
             run.observer.torque(name, k * 10_000_000, 0.01)
-    broken, real = run.observer.motors['right'].observer, MotorView.effects_reason
+    broken = run.observer.motors['right'].observer
+    real = MotorView.effects_reason
     monkeypatch.setattr(MotorView, 'added_effects', ('brush_drop',))
 
     def reason(self):

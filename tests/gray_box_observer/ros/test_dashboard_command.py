@@ -30,7 +30,8 @@ def test_an_address_that_begins_with_a_dash_is_no_option_of_the_page(
     commands: list[list[str]] = []
 
     class Process:
-        stdin, stdout = io.BytesIO(), io.BytesIO()
+        stdin = io.BytesIO()
+        stdout = io.BytesIO()
 
         def __init__(self, command: list[str], **_: Any) -> None:
             commands.append(command)

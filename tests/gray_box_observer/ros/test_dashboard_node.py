@@ -80,7 +80,8 @@ def test_an_observer_starts_its_own_which_reads_as_it_reads_and_ends_with_it(
     assert f'http://127.0.0.1:{port}/' in line
     recording = record(duration_s=60.0)
     signals, _ = gathered(f'http://127.0.0.1:{port}/', rig, recording, 'voltage')
-    volts, sent = np.array(signals['voltage'][1]), recording.voltage_v[0]
+    volts = np.array(signals['voltage'][1])
+    sent = recording.voltage_v[0]
     assert np.isin(volts.round(9), (2.0 * sent).round(9)).all()
     children = rig.children()
     assert len(children) == 1

@@ -28,7 +28,8 @@ def test_the_sizes_of_the_samples_are_looked_at_once_for_a_status_and_for_no_sam
     )
     configuration = Configuration.from_flat({'predictor': False})
     observer = Observer(configuration)
-    message_input, meter = MessageInput(observer, configuration), TrafficMeter()
+    message_input = MessageInput(observer, configuration)
+    meter = TrafficMeter()
     recording = record('R[5,15]D[0.1,1]', 12.0, torque_noise_relative=0.01)
     for k in range(recording.stamp_ns.size):
         stamp_ns = int(recording.stamp_ns[k])

@@ -47,7 +47,8 @@ def held_by(path: Path) -> dict[str, float]:
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_node_that_is_ended_continues_where_it_was(rig, record, tmp_path, number):
-    path, recording = tmp_path / 'new' / 'c.safetensors', record(EXCITATION, 12.0)
+    path = tmp_path / 'new' / 'c.safetensors'
+    recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path, checkpoint__resume='true')
     rig.send(recording, range(800))
     rig.wait_for(samples_used=800)
@@ -68,7 +69,8 @@ def test_a_node_that_is_ended_continues_where_it_was(rig, record, tmp_path, numb
 
 
 def test_a_killed_node_continues_from_its_last_automatic_checkpoint(rig, record, tmp_path):
-    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 12.0)
+    path = tmp_path / 'c.safetensors'
+    recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.1)
     rig.send(recording, range(600))
     rig.wait_for(samples_used=600)
@@ -85,7 +87,8 @@ def test_a_killed_node_continues_from_its_last_automatic_checkpoint(rig, record,
 def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_node_lives(
     rig, record, tmp_path, damage
 ):
-    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    path = tmp_path / 'c.safetensors'
+    recording = record(EXCITATION, 8.0)
     core = Observer(Configuration.from_flat({'predictor': False, 'motor.torque_constant': 0.02}))
     for k in range(100):
         core.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
@@ -108,7 +111,8 @@ def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_node_lives(
 
 
 def test_deactivating_keeps_what_was_learnt_and_configuring_resumes_it(rig, record, tmp_path):
-    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    path = tmp_path / 'c.safetensors'
+    recording = record(EXCITATION, 8.0)
     rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.0)
     rig.send(recording, range(500))
     rig.wait_for(samples_used=500)
@@ -125,7 +129,8 @@ def test_deactivating_keeps_what_was_learnt_and_configuring_resumes_it(rig, reco
 
 
 def test_what_is_reset_does_not_come_back_with_the_next_start(rig, record, tmp_path):
-    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    path = tmp_path / 'c.safetensors'
+    recording = record(EXCITATION, 8.0)
     rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.1)
     rig.send(recording, range(500))
     rig.wait_for(samples_used=500)
@@ -138,7 +143,8 @@ def test_what_is_reset_does_not_come_back_with_the_next_start(rig, record, tmp_p
 
 
 def test_a_path_set_while_it_runs_stays_in_the_folder(rig, record, tmp_path):
-    folder, recording = tmp_path / 'kept', record(EXCITATION, 8.0)
+    folder = tmp_path / 'kept'
+    recording = record(EXCITATION, 8.0)
     folder.mkdir()
     (folder / 'out').symlink_to(tmp_path)
     rig.start(checkpoint__path=folder / 'c.safetensors')
@@ -256,7 +262,8 @@ def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(
 def test_absurd_content_under_a_right_checksum_is_set_aside_and_learning_begins_anew(
     rig, record, tmp_path
 ):
-    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    path = tmp_path / 'c.safetensors'
+    recording = record(EXCITATION, 8.0)
     core = Observer(Configuration.from_flat({'predictor': False}))
     for k in range(100):
         core.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))

@@ -17,7 +17,8 @@ from .conftest import ACKNOWLEDGE_TIMEOUT_S, CHUNK
 
 pytestmark = pytest.mark.system
 
-FAULTY, DEADLY_NM = 'faulty_observer', 900.0
+FAULTY = 'faulty_observer'
+DEADLY_NM = 900.0
 """A module beside this one, and the torque that breaks it."""
 
 NUMBERS = ('inductance', 'resistance', 'hysteresis', 'covariance')

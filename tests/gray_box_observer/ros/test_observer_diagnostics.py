@@ -132,7 +132,8 @@ def test_refusals_name_what_to_look_at(rig, record):
 def test_an_estimate_far_from_the_data_sheet_is_told(rig, record):
     recording = record(EXCITATION, 40.0, torque_noise_relative=0.01)
     rig.start(motor__initial__resistance=0.5, motor__initial_relative_std__resistance=0.05)
-    rest, told = iter(range(0, 4000, CHUNK)), 'from the 0.5 ohm +- 5 % given: check torque_constant'
+    rest = iter(range(0, 4000, CHUNK))
+    told = 'from the 0.5 ohm +- 5 % given: check torque_constant'
 
     def is_told() -> bool:
         if (k := next(rest, None)) is not None:

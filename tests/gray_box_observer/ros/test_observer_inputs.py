@@ -70,7 +70,8 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
     rows = []
     for k in range(800):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
-        voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        voltage_v = float(recording.voltage_v[0, k])
+        torque_nm = float(recording.torque_nm[0, k])
         wrench = stamped(WrenchStamped(), stamp_ns)
         wrench.wrench.force.x = torque_nm  # of the thesis's motor: w = Kt i, the torque in numbers
         current = JointState(name=['arm', 'wheel'], effort=[9.0, torque_nm / 0.01 * rate])
@@ -425,7 +426,9 @@ def test_simulated_time_stamps_messages_without_a_header(rig):
     clock = rig.peer.publisher(Clock, '/clock', RELIABLE, readers=1)
     volts = rig.peer.publisher(Float64, 'motor/voltage', RELIABLE, readers=1)
     amperes = rig.peer.publisher(Float64, 'motor/torque', RELIABLE, readers=1)
-    current_a, voltage_v, decay = 0.0, 5.0, math.exp(-0.01 / 0.5)
+    current_a = 0.0
+    voltage_v = 5.0
+    decay = math.exp(-0.01 / 0.5)
     for k in range(60):
         now = Clock()
         now.clock.sec, now.clock.nanosec = divmod(START_NS + 10_000_000 * k, 1_000_000_000)

@@ -19,8 +19,10 @@ NUMBERS = (
     'estimates',
 )
 SAMPLES = 1000
-CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
-ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
+CONFIGURE = Transition.TRANSITION_CONFIGURE
+CLEANUP = Transition.TRANSITION_CLEANUP
+ACTIVATE = Transition.TRANSITION_ACTIVATE
+DEACTIVATE = Transition.TRANSITION_DEACTIVATE
 
 
 @pytest.fixture
@@ -47,7 +49,8 @@ def says_nothing(rig) -> bool:
 
 
 def test_a_node_that_was_cleaned_up_tells_nothing_until_it_knows_something_again(identified):
-    rig, learnt = identified, identified.estimates()
+    rig = identified
+    learnt = identified.estimates()
     assert rig.change(DEACTIVATE)
     assert rig.latched(Bool, 'motor/identified').data is True, 'it still knows'
     assert rig.estimates() == learnt
@@ -81,7 +84,8 @@ def test_a_reset_leaves_no_number_that_was_learnt_whatever_the_state(identified)
 
 
 def test_what_is_loaded_while_the_node_rests_is_told_when_it_is_activated(identified):
-    rig, learnt = identified, identified.estimates()
+    rig = identified
+    learnt = identified.estimates()
     assert rig.call(Trigger, 'save').success
     assert rig.call(Trigger, 'reset').success
     assert rig.change(DEACTIVATE)

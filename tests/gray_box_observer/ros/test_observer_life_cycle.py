@@ -36,8 +36,10 @@ START_NS = 1_000_000_000
 END_S = 20.0
 """A node that is asked to end has done so after this time."""
 
-CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
-ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
+CONFIGURE = Transition.TRANSITION_CONFIGURE
+CLEANUP = Transition.TRANSITION_CLEANUP
+ACTIVATE = Transition.TRANSITION_ACTIVATE
+DEACTIVATE = Transition.TRANSITION_DEACTIVATE
 SHUTDOWN = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_INACTIVE_SHUTDOWN,
@@ -312,14 +314,16 @@ def test_a_signal_ends_the_node_soon_while_it_trains_and_a_thousand_samples_a_se
         predictor='true', training__core_share=1.0, training__period=32, training__start='fresh'
     )
     voltage, torque = rig.signals()
-    stop, sent = threading.Event(), []
+    stop = threading.Event()
+    sent = []
 
     def flood() -> None:
         begin_s = time.monotonic()
         for k in itertools.count():
             if stop.wait(max(0.0, begin_s + 0.001 * k - time.monotonic())):
                 return
-            stamp_ns, column = START_NS + 1_000_000 * k, k % 6000
+            stamp_ns = START_NS + 1_000_000 * k
+            column = k % 6000
             voltage.publish(rig.state('motor', stamp_ns, float(recording.voltage_v[0, column])))
             torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, column])))
             sent.append(k)
@@ -330,7 +334,8 @@ def test_a_signal_ends_the_node_soon_while_it_trains_and_a_thousand_samples_a_se
         rig.peer.wait(lambda: int(rig.values().get('samples used', 0)) > 500, 'samples')
         rig.peer.wait(lambda: int(rig.values().get('training jobs done', 0)) > 0, 'training')
         (child,) = rig.children()
-        before, asked_s = len(sent), time.monotonic()
+        before = len(sent)
+        asked_s = time.monotonic()
         code, _, said = rig.peer.end(rig.process, number)
         assert time.monotonic() - asked_s < END_S
         assert len(sent) > before, 'messages came to the end'

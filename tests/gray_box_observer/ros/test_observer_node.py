@@ -64,11 +64,9 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
     rig.start()
     rig.signals()
     node = rig.peer.node
-    reliable, latched, volatile = (
-        ReliabilityPolicy.RELIABLE,
-        DurabilityPolicy.TRANSIENT_LOCAL,
-        DurabilityPolicy.VOLATILE,
-    )
+    reliable = ReliabilityPolicy.RELIABLE
+    latched = DurabilityPolicy.TRANSIENT_LOCAL
+    volatile = DurabilityPolicy.VOLATILE
 
     def described(endpoints) -> list[tuple]:
         own = [e for e in endpoints if e.node_name == 'gray_box_observer']
@@ -95,7 +93,8 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
         expected = 'sensor_msgs/msg/JointState', reliable, volatile
         assert described(node.get_subscriptions_info_by_topic(topic)) == [expected]
     services = dict(node.get_service_names_and_types_by_node('gray_box_observer', '/'))
-    trigger, boolean = ['std_srvs/srv/Trigger'], ['std_srvs/srv/SetBool']
+    trigger = ['std_srvs/srv/Trigger']
+    boolean = ['std_srvs/srv/SetBool']
     wanted = {'reset': trigger, 'save': trigger, 'load': trigger, 'freeze': boolean}
     assert {name: services[f'{NODE}/{name}'] for name in wanted} == wanted
 
@@ -322,14 +321,13 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
     forecasts = rig.peer.listen(JointState, f'{NODE}/forecast_torque', SIGNAL_QOS)
     rig.start(**{'predictor': 'true', 'training__period': 100000}, horizon_s=0.25)
     voltage, torque = rig.signals()
-    core, expected = (
-        Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining),
-        {},
-    )
+    core = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining)
+    expected = {}
     heard: dict[int, float] = {}
     for k in range(80):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
-        voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        voltage_v = float(recording.voltage_v[0, k])
+        torque_nm = float(recording.torque_nm[0, k])
         voltage.publish(rig.state('motor', stamp_ns, voltage_v))
         core.voltage('motor', stamp_ns, voltage_v)
         held = core.forecast_held('motor', 0.25)
@@ -494,9 +492,12 @@ def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middlewar
     volts = rig.peer.publisher(Float64, 'drive/volts', SIGNAL_QOS, readers=1)
     wrenches = rig.peer.publisher(WrenchStamped, 'sensor/wrench', SIGNAL_QOS, readers=1)
     rng = np.random.default_rng(1)
-    current_a, voltage_v, before_ns = 0.0, 0.0, time.time_ns()
+    current_a = 0.0
+    voltage_v = 0.0
+    before_ns = time.time_ns()
     for k in range(200):
-        wrench, now_ns = WrenchStamped(), time.time_ns()
+        wrench = WrenchStamped()
+        now_ns = time.time_ns()
         decay = math.exp(-(now_ns - before_ns) * 1e-9 * 2.0 / 0.5)  # 0.5 H, 2 ohm
         current_a = voltage_v / 2.0 + (current_a - voltage_v / 2.0) * decay
         wrench.header.stamp.sec, wrench.header.stamp.nanosec = divmod(now_ns, 1_000_000_000)

@@ -35,7 +35,10 @@ class Node:
 
     def __init__(self) -> None:
         self.executor = SimpleNamespace(create_task=lambda task: self.waiting.append(task))
-        self.waiting, self.alive, self.said, self.watched = [], [], [], []
+        self.waiting = []
+        self.alive = []
+        self.said = []
+        self.watched = []
 
     def turn(self) -> None:
         """Serve tasks, and the timers that they begin."""
@@ -170,7 +173,8 @@ def test_the_next_reader_waits_for_the_end_of_the_last_however_late_that_is(queu
 
 
 def test_growth_is_told_by_who_has_touched_the_memory():
-    memory, kept = ReceiveMemory(), []
+    memory = ReceiveMemory()
+    kept = []
     kept.append(touched_memory())
     assert memory.grown_bytes() < 20e6, 'ours'
     memory.mark()
@@ -181,7 +185,9 @@ def test_growth_is_told_by_who_has_touched_the_memory():
 
 
 def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatch):
-    kept, written, go_on = [], threading.Event(), threading.Event()
+    kept = []
+    written = threading.Event()
+    go_on = threading.Event()
 
     def write(*_):
         kept.append(touched_memory())

@@ -36,10 +36,8 @@ from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 pytestmark = pytest.mark.system
 
 TIMEOUT_S = 120.0
-RECORDER, PLAYER = (
-    'gray_box_observer.ros.bags.recorder_node',
-    'gray_box_observer.ros.bags.player_node',
-)
+RECORDER = 'gray_box_observer.ros.bags.recorder_node'
+PLAYER = 'gray_box_observer.ros.bags.player_node'
 
 
 def series(count: int, step_s: float = 0.01) -> list[JointState]:
@@ -142,7 +140,8 @@ def test_a_killed_recorder_leaves_a_readable_bag_with_little_lost(peer, tmp_path
     folder = tmp_path / 'bag'
     recorder = peer.start(RECORDER, '-o', str(folder))
     publisher = peer.publisher(JointState, 'motor/torque', SIGNAL_QOS, readers=1)
-    messages, until_s = iter(series(100_000)), time.monotonic() + 3.0
+    messages = iter(series(100_000))
+    until_s = time.monotonic() + 3.0
     count = 0
     while time.monotonic() < until_s:
         publisher.publish(next(messages))

@@ -145,7 +145,8 @@ def test_numbers_that_do_not_fit_a_form_leave_it_what_it_was(numbers: np.ndarray
 
 
 def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> None:
-    template, torques = value_template(), JointMessages()
+    template = value_template()
+    torques = JointMessages()
     values = [template.render(np.array([value])) for value in (1.0, 2.0)]
     assert [deserialize_message(data, Float64).data for data in values] == [1.0, 2.0]
     messages = [
@@ -156,15 +157,15 @@ def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> N
 
 
 def test_an_estimate_goes_out_as_the_messages_that_would_be_built() -> None:
-    node, parameters = (
-        Node(),
-        MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters,
-    )
+    node = Node()
+    parameters = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters
     outputs = Outputs(node, Configuration.from_flat({}))
-    n, size = len(parameters), len(parameters) ** 2
+    n = len(parameters)
+    size = len(parameters) ** 2
     for scale in (1.0, -2e-300):
         node.sent.clear()
-        value, covariance = scale * np.arange(1.0, n + 1.0), scale * np.arange(float(size))
+        value = scale * np.arange(1.0, n + 1.0)
+        covariance = scale * np.arange(float(size))
         estimate = SimpleNamespace(
             parameters=parameters,
             value=value[None],
@@ -216,10 +217,8 @@ def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_0_where_it_is_kno
 
 
 def test_identified_parameters_go_out_on_change_and_again_when_nobody_may_have_heard() -> None:
-    node, parameters = (
-        Node(),
-        MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters,
-    )
+    node = Node()
+    parameters = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters
     outputs = Outputs(node, Configuration.from_flat({}))
     for known in (
         (False, False, False),
@@ -236,7 +235,8 @@ def test_identified_parameters_go_out_on_change_and_again_when_nobody_may_have_h
 
 
 def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
-    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance'), 0.01, {}).parameters
+    node = Node()
+    parameters = MotorWhiteBox(('inductance', 'resistance'), 0.01, {}).parameters
     outputs = Outputs(
         node, Configuration.from_flat({'motor.context_nodes': ['inductance', 'resistance']})
     )
@@ -294,8 +294,10 @@ def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_fall
 
 
 def test_a_test_of_the_fit_publishes_no_estimate_that_is_not_finite(monkeypatch) -> None:
-    node, configuration = Node(), Configuration.from_flat({'predictor': False})
-    outputs, observer = Outputs(node, configuration), Observer(configuration)
+    node = Node()
+    configuration = Configuration.from_flat({'predictor': False})
+    outputs = Outputs(node, configuration)
+    observer = Observer(configuration)
     observer.voltage('motor', 1, 5.0)
     observer.torque('motor', 1, 0.1)
     group = observer.group_of('motor')

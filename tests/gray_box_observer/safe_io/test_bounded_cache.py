@@ -47,10 +47,8 @@ def flood(count: int, kind: str):
 @pytest.mark.parametrize(('kind', 'count'), [('names', 80), ('frames', 100)])
 def test_ever_other_names_and_frames_fill_no_memory(kind, count):
     configuration = Configuration.from_flat({'predictor': False})
-    message_input, decode = (
-        MessageInput(Observer(configuration), configuration),
-        JointStateDecoder(),
-    )
+    message_input = MessageInput(Observer(configuration), configuration)
+    decode = JointStateDecoder()
     tracemalloc.start()
     try:
         for data in flood(count, kind):
@@ -61,10 +59,8 @@ def test_ever_other_names_and_frames_fill_no_memory(kind, count):
 
 
 def test_ever_other_motors_of_many_fill_no_memory():
-    messages, names = (
-        JointMessages(),
-        tuple(f'motor with a name of its own {k}' for k in range(5000)),
-    )
+    messages = JointMessages()
+    names = tuple(f'motor with a name of its own {k}' for k in range(5000))
     torque_nm = np.ones(len(names))
     tracemalloc.start()
     try:

@@ -68,7 +68,8 @@ def test_covariances_are_symmetric_and_have_no_direction_of_negative_variance() 
     check_covariance('c', np.zeros((1, 3, 3)))
     singular = np.outer([1.0, -2.0, 1e-9], [1.0, -2.0, 1e-9])
     check_covariance('c', singular)
-    lopsided, wide = good.copy(), good.copy()
+    lopsided = good.copy()
+    wide = good.copy()
     lopsided[0, 1] += 1.0
     wide[0, 1] = wide[1, 0] = 1.0
     for bad in (-good, lopsided, wide):

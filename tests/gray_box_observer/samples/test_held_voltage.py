@@ -13,7 +13,8 @@ MS = 1_000_000
 
 def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
     """A voltage that has come every 10 ms for long, torque with it, and its stamps."""
-    held, stamps = HeldVoltage(math.nan), [k * 10 * MS for k in range(count)]
+    held = HeldVoltage(math.nan)
+    stamps = [k * 10 * MS for k in range(count)]
     for stamp_ns in stamps:
         held.update(stamp_ns, 1.0)
         held.step_to(stamp_ns, is_lost=False)
@@ -36,7 +37,9 @@ def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int
 
 
 def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
-    random, unknown_until, torque = np.random.default_rng(1), [], Rhythm()
+    random = np.random.default_rng(1)
+    unknown_until = []
+    torque = Rhythm()
     for _ in range(100):
         torque.update(0.001)  # against its habit it was silent, too
     for _ in range(300):

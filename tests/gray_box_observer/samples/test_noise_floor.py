@@ -12,7 +12,8 @@ def _current(samples: int, noise: float, seed: int) -> np.ndarray:
     """Current of a motor under drawn voltages, in A."""
     rng = np.random.default_rng(seed)
     level = np.repeat(rng.uniform(0.0, 10.0, 200), rng.integers(5, 60, 200))[:samples]
-    current, value = np.zeros(samples), 0.0
+    current = np.zeros(samples)
+    value = 0.0
     for k in range(samples):
         value += 0.2 * (level[k] - value)
         current[k] = value

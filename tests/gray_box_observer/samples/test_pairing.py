@@ -250,7 +250,8 @@ def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_ac
 @pytest.mark.parametrize('every', [1, 3])
 def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every: int) -> None:
     """One motor's voltage is overdue while messages go on; torque as often, or three times."""
-    pairing, samples = Pairing(PairingSettings(hold_s=0.0), motors=3), []
+    pairing = Pairing(PairingSettings(hold_s=0.0), motors=3)
+    samples = []
     for k in range(1250 * every):
         if k % every == 0:
             voltage_v = np.array([math.nan if k >= 1050 * every else 1.0, 2.0, 3.0])
@@ -327,7 +328,8 @@ def test_a_voltage_that_comes_when_it_changes_has_lost_nothing() -> None:
 
 
 def test_of_a_group_only_the_motor_whose_voltage_moved_begins_anew() -> None:
-    pairing, samples = Pairing(motors=2), []
+    pairing = Pairing(motors=2)
+    samples = []
     for k in range(300):
         if k != 200:
             voltage_v = np.array([1.0 if k < 200 else 8.0, 3.0])
@@ -338,7 +340,8 @@ def test_of_a_group_only_the_motor_whose_voltage_moved_begins_anew() -> None:
 
 
 def test_of_a_motor_of_a_group_that_some_messages_do_not_tell_the_same_holds() -> None:
-    pairing, samples = Pairing(motors=2), []
+    pairing = Pairing(motors=2)
+    samples = []
     for k in range(300):
         absent = np.array([k in (100, 200), False])
         voltage_v = np.array([1.0 if k < 200 else 8.0, 1.0 if k < 200 else 8.0])
@@ -404,7 +407,8 @@ def test_a_value_that_no_motor_has_is_counted_and_leaves_no_trace(
         ('v', 20, 6.0),
         ('t', 20, 0.1),
     ]
-    pairing, reference = Pairing(), Pairing()
+    pairing = Pairing()
+    reference = Pairing()
     samples = feed(pairing, [*clean[:4], (kind, 15, value), *clean[4:]])
     assert content(samples) == content(feed(reference, clean))
     assert pairing.rejected == {reason: 1}
@@ -457,7 +461,8 @@ def test_flush_completes_what_waits_with_the_last_voltage() -> None:
 
 def test_ahead_equals_the_pair_that_is_made_later() -> None:
     random = np.random.default_rng(3)
-    pairing, checked = Pairing(), 0
+    pairing = Pairing()
+    checked = 0
     for k in range(300):
         stamp = k * 10 * MS
         if random.random() < 0.7:
@@ -473,7 +478,8 @@ def test_ahead_equals_the_pair_that_is_made_later() -> None:
 
 def test_ahead_changes_nothing() -> None:
     voltages, torques = steady(30)
-    asked, silent = Pairing(), Pairing()
+    asked = Pairing()
+    silent = Pairing()
     expected = feed(silent, [e for pair in zip(voltages, torques, strict=True) for e in pair])
     samples = []
     for pair in zip(voltages, torques, strict=True):
@@ -516,7 +522,9 @@ def test_what_is_refused_is_told_by_the_signal_it_was_of() -> None:
 
 def test_everything_received_is_used_or_rejected_or_waits() -> None:
     random = np.random.default_rng(11)
-    pairing, produced, stamp = Pairing(PairingSettings(hold_s=0.05)), 0, 0
+    pairing = Pairing(PairingSettings(hold_s=0.05))
+    produced = 0
+    stamp = 0
     for _ in range(4000):
         stamp += round(MS * random.choice([1, 5, 10, 10, 10, 700]))
         if random.random() < 0.6:
@@ -608,7 +616,8 @@ def test_a_declared_delay_gives_the_samples_of_a_recording_without_one(
     delay_ms: int, torque_late: int
 ) -> None:
     voltages, torques = steady(120)
-    clean, shifted = Pairing(), Pairing(delay_s=delay_ms / 1000)
+    clean = Pairing()
+    shifted = Pairing(delay_s=delay_ms / 1000)
     expected = (
         feed(clean, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't'))) + clean.flush()
     )
@@ -634,7 +643,8 @@ def test_pairing_anew_makes_the_samples_that_the_delay_would_have_made_from_the_
 ) -> None:
     voltages, torques = steady(80)
     events = [e for pair in zip(voltages, torques, strict=True) for e in pair]
-    fresh, changed = Pairing(delay_s=delay_ms / 1000), Pairing(delay_s=0.005)
+    fresh = Pairing(delay_s=delay_ms / 1000)
+    changed = Pairing(delay_s=0.005)
     expected = feed(fresh, events) + fresh.flush()
     before = feed(changed, events[:100])
     known, rest = changed.redelay(delay_ms / 1000, before[-1].stamp_ns)
@@ -666,16 +676,16 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
 @pytest.mark.slow
 def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
     """Whatever a message lacks or becomes: no motor is charged for what was not its own."""
-    random, motors = np.random.default_rng(7), 4
-    pairing, told = (
-        Pairing(PairingSettings(hold_s=0.05), motors),
-        {signal: np.zeros(motors, int) for signal in 'vt'},
-    )
+    random = np.random.default_rng(7)
+    motors = 4
+    pairing = Pairing(PairingSettings(hold_s=0.05), motors)
+    told = {signal: np.zeros(motors, int) for signal in 'vt'}
     stamp_ns = 0
     for _ in range(3000):
         stamp_ns += round(MS * random.choice([0, 1, 10, 10, 10, 700]))
         late_ns = round(MS * random.choice([0, 0, 0, 0, 0, 3, 10, 1500]))
-        signal, missing = str(random.choice(['v', 't'])), random.random(motors) < 0.2
+        signal = str(random.choice(['v', 't']))
+        missing = random.random(motors) < 0.2
         values = random.choice([0.1, 0.2, math.nan, 1e12], motors, p=[0.45, 0.45, 0.05, 0.05])
         told[signal] += ~missing
         take = pairing.voltage if signal == 'v' else pairing.torque
@@ -712,7 +722,8 @@ def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
     """A voltage regular for 900 samples is not less so for having been gone through twice."""
     voltages, torques = steady(900)
     later: list[Event] = [('t', at, 0.1) for at in range(9000, 12_000, 10)]
-    fresh, changed = Pairing(delay_s=0.02), Pairing()
+    fresh = Pairing(delay_s=0.02)
+    changed = Pairing()
     events = [e for pair in zip(voltages, torques, strict=True) for e in pair]
     expected = feed(fresh, events + later) + fresh.flush()
     before = feed(changed, events)
@@ -723,10 +734,13 @@ def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
 
 
 def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_unchanged() -> None:
-    group, alone, told = Pairing(motors=2), Pairing(), []
+    group = Pairing(motors=2)
+    alone = Pairing()
+    told = []
     expected = []
     for k in range(1400):
-        stamp_ns, volt = 10 * k * MS, 1.0 + k % 7
+        stamp_ns = 10 * k * MS
+        volt = 1.0 + k % 7
         out = math.nan if 1200 <= k < 1300 else volt
         expected += alone.voltage(stamp_ns, out) + alone.torque(stamp_ns, 0.1)
         told += group.voltage(stamp_ns, np.array([out, volt])) + group.torque(

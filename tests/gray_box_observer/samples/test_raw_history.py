@@ -33,9 +33,11 @@ def test_too_little_is_no_signal() -> None:
 
 
 def test_where_the_signals_begin_does_not_depend_on_what_has_come_beyond_their_end() -> None:
-    early, late = history(TORQUES + 50), history(TORQUES + 50 + SLACK // 2)
+    early = history(TORQUES + 50)
+    late = history(TORQUES + 50 + SLACK // 2)
     until = (TORQUES + 40) * 10 * MS
-    first, second = early.signals(until, 0), late.signals(until, 0)
+    first = early.signals(until, 0)
+    second = late.signals(until, 0)
     assert first is not None
     assert second is not None
     assert first.time_s.size == TORQUES
@@ -66,7 +68,8 @@ def test_what_is_remembered_is_what_came_to_the_last_bit_however_much_was_forgot
 
 
 def test_the_integral_of_the_voltage_is_that_of_its_steps() -> None:
-    times, volts = np.array([-1.0, -0.7, -0.2]), np.array([2.0, 5.0, -1.0])
+    times = np.array([-1.0, -0.7, -0.2])
+    volts = np.array([2.0, 5.0, -1.0])
     blank = np.zeros(1)
     signals = RawSignals(blank, blank, blank, times, volts)
     at = np.array([-1.1, -1.0, -0.85, -0.7, -0.4, -0.2, 0.0])
@@ -135,7 +138,9 @@ def test_a_group_tells_the_signals_of_each_motor_and_none_of_its_own() -> None:
 
 
 def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -> None:
-    group, alone, random = RawHistory(3), RawHistory(), np.random.default_rng(0)
+    group = RawHistory(3)
+    alone = RawHistory()
+    random = np.random.default_rng(0)
     forgotten = 100
     for k in range(TORQUES + SLACK + forgotten):
         volts, torques, speeds = np.where(

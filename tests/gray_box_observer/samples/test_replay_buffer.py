@@ -28,7 +28,8 @@ def views(buffer: ReplayBuffer, count: int | None = None) -> list[np.ndarray]:
 @pytest.mark.parametrize(('motors', 'capacity'), [(1, 1), (1, 7), (3, 16)])
 def test_a_replay_buffer_remembers_what_a_deque_would(motors: int, capacity: int) -> None:
     random = np.random.default_rng(0)
-    buffer, reference = ReplayBuffer(motors, capacity), deque(maxlen=capacity)
+    buffer = ReplayBuffer(motors, capacity)
+    reference = deque(maxlen=capacity)
     for step in range(6 * capacity):
         new = sample(random, motors)
         buffer.append(new)
@@ -47,7 +48,8 @@ def test_a_replay_buffer_remembers_what_a_deque_would(motors: int, capacity: int
 
 def test_the_newest_few_can_be_asked_for_and_never_more_than_there_are() -> None:
     random = np.random.default_rng(1)
-    buffer, all_samples = ReplayBuffer(2, 10), [sample(random, 2) for _ in range(8)]
+    buffer = ReplayBuffer(2, 10)
+    all_samples = [sample(random, 2) for _ in range(8)]
     for one in all_samples:
         buffer.append(one)
     for got, expected in zip(views(buffer, 3), rows(all_samples[-3:]), strict=True):
@@ -64,7 +66,8 @@ def test_views_are_not_copies() -> None:
 @pytest.mark.parametrize('capacity', [3, 10, 40])
 def test_content_refills_another_buffer_as_far_as_it_has_room(capacity: int) -> None:
     random = np.random.default_rng(4)
-    source, target = ReplayBuffer(2, 10), ReplayBuffer(2, capacity)
+    source = ReplayBuffer(2, 10)
+    target = ReplayBuffer(2, capacity)
     for _ in range(27):
         source.append(sample(random, 2))
     target.refill(source.content())
@@ -93,7 +96,8 @@ def test_a_buffer_of_nothing_is_refused(motors: int, capacity: int) -> None:
 
 @pytest.mark.parametrize('capacity', [5, 40])
 def test_every_motor_has_a_stream_of_its_own(capacity: int) -> None:
-    random, motors = np.random.default_rng(5), 3
+    random = np.random.default_rng(5)
+    motors = 3
     buffer = ReplayBuffer(motors, capacity)
     streams: list[list[float]] = [[] for _ in range(motors)]
     for step in range(7 * capacity):

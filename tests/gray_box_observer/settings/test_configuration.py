@@ -97,7 +97,8 @@ def test_the_declared_recursive_defaults_are_those_of_the_rules() -> None:
 
 
 def test_the_declared_pairing_defaults_are_those_of_the_rules() -> None:
-    configuration, rules = Configuration.from_flat({}), PairingSettings()
+    configuration = Configuration.from_flat({})
+    rules = PairingSettings()
     for name in ('gap_s', 'hold_s', 'jump_back_s'):
         assert configuration[name] == getattr(rules, name)
 

@@ -178,17 +178,21 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
     box = MotorWhiteBox(
         ('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01}
     )
-    rules, theta = TrainingSettings(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
+    rules = TrainingSettings(period=10**9)
+    theta = np.tile([0.5, 1.0, 10.0], (2, 1))
     one = Forecasting(
         Predictor(box, 2, theta[0], rules, speed_measured=False, device=torch_name),
         rules,
         InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
     )
-    voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)
+    voltage = np.full(2, 9.0)
+    torque = np.full(2, 0.05)
+    interval = np.full(2, 0.01)
     for k in range(2):
         sample = Sample(k * 10_000_000, interval * k, voltage, torque, 0.0 * torque)
         one.learn(sample, one.predict(sample.interval_s, voltage, theta), theta)
-    said, state = one.predict(interval, voltage, theta), one.state()
+    said = one.predict(interval, voltage, theta)
+    state = one.state()
     assert np.isfinite(one.forecast(0.1, voltage, theta)).all()
     monkeypatch.setattr(steady_state_forecaster, 'relaxation', out_of_memory)
     monkeypatch.setattr(steady_state_forecaster.RelaxingForecaster, '_blank', out_of_memory)
@@ -286,7 +290,8 @@ def test_a_group_is_observed_alike_by_torch_and_without(
             compared += 1
     assert compared > 1000
     ours, theirs = (one.group_of('a').observer.forecasting for one in both)
-    interval, voltage = np.full(3, 0.01), np.full(3, 9.0)
+    interval = np.full(3, 0.01)
+    voltage = np.full(3, 9.0)
     made = [
         one.predict(interval, voltage, np.tile([0.5, 1.0, 10.0], (3, 1))) for one in (ours, theirs)
     ]

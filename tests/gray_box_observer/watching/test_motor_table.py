@@ -116,7 +116,8 @@ def test_a_pipe_gets_plain_tables_and_a_terminal_one_that_is_refreshed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv('TERM', 'xterm')
-    pipe, terminal = io.StringIO(), Terminal()
+    pipe = io.StringIO()
+    terminal = Terminal()
     for stream in (pipe, terminal):
         with TableDisplay(stream) as display:
             for second in (4.0, 5.0):

@@ -54,10 +54,8 @@ def test_the_rate_is_the_same_for_tensors(thesis_box: MotorWhiteBox) -> None:
     twin = MotorWhiteBox.from_dict(
         thesis_box.to_dict(), lambda v: torch.as_tensor(v, dtype=torch.float64)
     )
-    voltage, current = (
-        np.linspace(-5.0, 9.0, 12).reshape(2, 6),
-        np.linspace(-3.0, 2.0, 12).reshape(2, 6),
-    )
+    voltage = np.linspace(-5.0, 9.0, 12).reshape(2, 6)
+    current = np.linspace(-3.0, 2.0, 12).reshape(2, 6)
     theta = np.array([[0.5, 1.0, 10.0], [0.3, 2.0, 4.0]])[:, None, :]
     expected = rate(thesis_box, theta, voltage, current, current)
     got = rate(twin, *(torch.as_tensor(x) for x in (theta, voltage, current, current)))

@@ -44,7 +44,8 @@ def held(
     box: MotorWhiteBox, theta: np.ndarray, start_a: float, voltage_v: float, *intervals_s: float
 ) -> float:
     """Current of one motor without measured speed at the end of intervals, one after the other."""
-    state, none = np.array([[start_a]]), np.full((1, 1), np.nan)
+    state = np.array([[start_a]])
+    none = np.full((1, 1), np.nan)
     for interval_s in intervals_s:
         moved = flow(
             box,
@@ -67,7 +68,8 @@ def test_an_interval_ends_where_scipy_ends(measured: bool, interval_s: float, er
     box, theta = case(measured)
     ends = run(box, to_coordinates(theta), START, interval_s).value[State.CURRENT]
     for m, k in np.ndindex(START.shape):
-        begin, change = SPEED[m, k], (NEXT_SPEED - SPEED)[m, k] / interval_s
+        begin = SPEED[m, k]
+        change = (NEXT_SPEED - SPEED)[m, k] / interval_s
 
         def slope(
             time_s: float, state: np.ndarray, m=m, k=k, begin=begin, change=change
@@ -116,7 +118,9 @@ def test_the_slope_of_the_rate_is_its_finite_difference(
     box = MotorWhiteBox(names, 0.3, known, measured)
     theta = THETA[:1, [ALL.index(name) for name in names]]
     coefficients = dict(enumerate(to_coordinates(theta).T[..., None]))
-    voltage, speed, h = np.array([[5.0]]), np.array([[2.5]]), 1e-6
+    voltage = np.array([[5.0]])
+    speed = np.array([[2.5]])
+    h = 1e-6
     for current in (-3.0, -0.1, 0.05, 8.0):
         states = [np.array([[current + d]]) for d in (0.0, h, -h)]
         middle, up, down = (
@@ -139,11 +143,10 @@ def test_without_hysteresis_the_current_rises_like_that_of_an_rl_circuit() -> No
 
 
 def test_the_motion_is_the_closed_form_of_the_thesis_motor(thesis_box: MotorWhiteBox) -> None:
-    r, k, voltage = (
-        1.0 + 1e-4,
-        0.1,
-        10.0,
-    )  # L di/dt = V - r i - k i^2 from rest: i = 2 V tanh(x) / (s + r tanh(x))
+    # L di/dt = V - r i - k i^2 from rest: i = 2 V tanh(x) / (s + r tanh(x))
+    r = 1.0 + 1e-4
+    k = 0.1
+    voltage = 10.0
     s = np.sqrt(r * r + 4.0 * k * voltage)
     for count in (1, 10, 100):
         x = np.tanh(s * 0.01 * count / (2.0 * 0.5))
@@ -164,7 +167,9 @@ def test_a_step_is_of_fourth_order(thesis_box: MotorWhiteBox) -> None:
 def test_a_long_held_voltage_leads_to_the_root_of_the_quadratic(
     thesis_box: MotorWhiteBox, interval_s: float
 ) -> None:
-    r, k, voltage = 1.0 + 1e-4, 0.1, 12.0
+    r = 1.0 + 1e-4
+    k = 0.1
+    voltage = 12.0
     root = (np.sqrt(r * r + 4.0 * k * voltage) - r) / (2.0 * k)
     assert held(thesis_box, THESIS, 0.0, voltage, *20 * [interval_s]) == pytest.approx(
         root, rel=1e-6
@@ -179,11 +184,10 @@ def test_every_motor_moves_as_it_would_alone_in_whatever_steps() -> None:
     p = to_coordinates(
         np.array([[0.5, 1.0, 10.0], [0.02, 1.0, 10.0], [1e-4, 1.0, 10.0], [0.015, 2.0, 1.0]])
     )
-    start, voltage = (
-        np.array([[1.0, 4.0], [2.0, 0.0], [-3.0, 1.0], [0.5, 0.1]]),
-        np.full((4, 2), 9.0),
-    )
-    none, interval = np.full((4, 2), np.nan), np.full((4, 2), 0.01)
+    start = np.array([[1.0, 4.0], [2.0, 0.0], [-3.0, 1.0], [0.5, 0.1]])
+    voltage = np.full((4, 2), 9.0)
+    none = np.full((4, 2), np.nan)
+    interval = np.full((4, 2), 0.01)
     together = flow(box, p, [start], voltage, none, none, interval)
     stiff = is_stiff(box, p, [start], voltage, none, interval)
     assert stiff.tolist() == [False, False, True, False]
@@ -209,7 +213,8 @@ def test_coordinates_turn_into_parameters_and_back() -> None:
 
 
 def test_the_covariance_of_the_parameters_follows_from_finite_differences() -> None:
-    p, random = to_coordinates(THETA), np.random.default_rng(0)
+    p = to_coordinates(THETA)
+    random = np.random.default_rng(0)
     root = random.normal(size=(*p.shape, p.shape[1]))
     relative = root @ root.swapaxes(1, 2)
     jacobian = np.empty_like(relative)

@@ -146,8 +146,10 @@ def test_tensors_give_what_arrays_give(measured: bool) -> None:
     )
     twin = MotorWhiteBox.from_dict(box.to_dict(), lambda v: torch.as_tensor(v, dtype=torch.float64))
     i, w = np.stack([CURRENTS, -CURRENTS]), np.stack([SPEEDS, SPEEDS])
-    ti, tw = torch.as_tensor(i), torch.as_tensor(w)
-    (balance, signals), (tensors, of_twin) = electrical(box, i, w), electrical(twin, ti, tw)
+    ti = torch.as_tensor(i)
+    tw = torch.as_tensor(w)
+    (balance, signals) = electrical(box, i, w)
+    (tensors, of_twin) = electrical(twin, ti, tw)
     pairs = [
         *zip(box.basis(i, w), twin.basis(ti, tw), strict=True),
         *zip(

@@ -166,10 +166,8 @@ class MotorSim(Node):
             self.set_parameters_atomically(new_parameters)
 
     def _publisher(self, topic: topics.Topic) -> Any:
-        profile, overrides = (
-            copy.copy(topic.qos),
-            QoSOverridingOptions(OVERRIDABLE),
-        )  # which rclpy writes into it
+        profile = copy.copy(topic.qos)  # rclpy writes into it
+        overrides = QoSOverridingOptions(OVERRIDABLE)
         try:
             return self.create_publisher(
                 topic.type, topic.name, profile, qos_overriding_options=overrides

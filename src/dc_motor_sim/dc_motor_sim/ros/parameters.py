@@ -202,7 +202,8 @@ def declare(node: Node) -> Settings:
     own = NodeParameters(
         **{f.name: _declare(node, f.name, f, live=False) for f in fields(NodeParameters)}
     )
-    excitation, motors = {}, {}
+    excitation = {}
+    motors = {}
     for motor in own.motors:
         name = f'{motor}.excitation'
         descriptor = _descriptor(_EXCITATION_OF_MOTOR, live=False)
@@ -411,7 +412,8 @@ def settle_unread(node: Node, args: Sequence[str]) -> None:
 def _slip_of(name: str, valid_names: Sequence[str]) -> str:
     """Return the known name that a name misspells: one part is alike, the others are the same."""
     parts = name.split('.')
-    best_name, alike = '', _ALIKE
+    best_name = ''
+    alike = _ALIKE
     for candidate in valid_names:
         candidate_parts = candidate.split('.')
         differing_parts = [
@@ -420,5 +422,6 @@ def _slip_of(name: str, valid_names: Sequence[str]) -> str:
         if len(parts) == len(candidate_parts) and len(differing_parts) == 1:
             ratio = SequenceMatcher(None, *differing_parts[0]).ratio()
             if ratio >= alike and (not best_name or ratio > alike):
-                best_name, alike = candidate, ratio
+                best_name = candidate
+                alike = ratio
     return best_name

@@ -193,7 +193,8 @@ class BagFiles:
 
     def _count_messages(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
         """From the summary where it can be believed, else by reading."""
-        statistics, counts = file.layout.statistics, Counter[str]()
+        statistics = file.layout.statistics
+        counts = Counter[str]()
         if statistics is None:
             spans += self._count_by_reading(file, counts)
         elif statistics.message_count:
@@ -206,7 +207,8 @@ class BagFiles:
 
     def _compare(self, file: BagFile, message_count: int) -> None:
         """Say where a file holds something else than it should, and where it was never finished."""
-        layout, listed_file = file.layout, file.listed_file
+        layout = file.layout
+        listed_file = file.listed_file
         statistics = layout.stated_statistics
         if statistics is not None and message_count < statistics.message_count:
             complaint = (
@@ -243,7 +245,8 @@ class BagFiles:
 
     def _count_by_reading(self, file: BagFile, counts: Counter[str]) -> list[tuple[int, int]]:
         """Count the messages of a file without a summary, and note the true times of its pieces."""
-        layout, definitions = file.layout, Definitions()
+        layout = file.layout
+        definitions = Definitions()
         for piece in layout.pieces:
             try:
                 parse_definitions(
@@ -253,7 +256,8 @@ class BagFiles:
                 continue  # the second look below says so
         layout.channels = definitions.channels | layout.channels
         message_counts: dict[Piece, int] = {}
-        in_chunks, outside = Counter[int](), Counter[int]()
+        in_chunks = Counter[int]()
+        outside = Counter[int]()
         for piece in layout.pieces:
             records = self._records(file, piece)
             if records is None:

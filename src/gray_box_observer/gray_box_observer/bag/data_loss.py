@@ -66,7 +66,8 @@ class Losses:
         Args:
             with_names: Whether to say which file it is.
         """
-        reasons, byte_count = list(self.of_bag), 0
+        reasons = list(self.of_bag)
+        byte_count = 0
         for (path, _), damage in sorted(self._damages.items()):
             reasons.append(f'{path.name}: {damage.what}' if with_names else damage.what)
             byte_count += damage.byte_count

@@ -133,7 +133,8 @@ class FieldPath:
 
     def _complaint(self, message: Any) -> SampleError:
         """Walk again, slowly, to say where the path leaves the message."""
-        value, path = message, type(message).__name__
+        value = message
+        path = type(message).__name__
         for step in self._steps:
             if isinstance(step, ByName):
                 return MissingFieldError(
@@ -167,7 +168,8 @@ class FieldPath:
 
 def _followed(message: Any, steps: Sequence[Step], root: Any) -> Any:
     """Follow steps from a message; names are looked up beside an array, then in the root."""
-    value, owner = message, message
+    value = message
+    owner = message
     for number, step in enumerate(steps):
         if isinstance(step, ByName):
             value = value[_place(step.name, owner, root)]

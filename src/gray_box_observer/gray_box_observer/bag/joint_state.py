@@ -191,7 +191,8 @@ def _layout(data: bytes) -> _Layout:
     names = tuple(cursor.text('a name').decode('utf-8', 'replace') for _ in range(name_count))
     prefix_end = cursor.at
     form = [f'{order}4xiI{prefix_end - _PREFIX_START}x']
-    end, counts = prefix_end, []
+    end = prefix_end
+    counts = []
     for array_name in ('position', 'velocity', 'effort'):
         count = cursor.count(f'the length of {array_name}')
         form.append(f'{cursor.at - 4 - end}xI')

@@ -57,7 +57,8 @@ def unpack_file(path: Path, stream: BinaryIO, limits: ReadLimits) -> tuple[Binar
     stream.seek(0)
     head = stream.read(_LONGEST_HEAD_BYTES)
     stream.seek(0)
-    content, complaint = io.BytesIO(), ''
+    content = io.BytesIO()
+    complaint = ''
     try:
         claimed_bytes = max(zstandard.frame_content_size(head), 0)  # -1: the head does not tell
         check_size(max(claimed_bytes, packed_bytes), packed_bytes, limits)
@@ -105,7 +106,8 @@ def unpack_messages(
         )
     unpacker = zstandard.ZstdDecompressor()
     unpacked_messages: list[RawMessage] = []
-    reason, failure_count = '', 0
+    reason = ''
+    failure_count = 0
     for message, size in zip(messages, sizes, strict=True):
         if not message.data.startswith(MARK):
             unpacked_messages.append(message)

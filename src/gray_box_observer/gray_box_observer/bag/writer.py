@@ -244,7 +244,8 @@ class BagWriter:
         return file
 
     def _is_full(self, log_time_ns: int) -> bool:
-        file, options = self._file, self.options
+        file = self._file
+        options = self.options
         if not file.message_count:
             return False
         if options.max_file_bytes and file.size + file.pending_bytes >= options.max_file_bytes:

@@ -81,7 +81,8 @@ class CheckpointKeeper:
             return
         self._astray = None
         self._writer.submit(checkpoint.capture(observer), file)
-        self._saved_sample_count, self._since_s = used_count, time.monotonic()
+        self._saved_sample_count = used_count
+        self._since_s = time.monotonic()
 
     def save(self, observer: Observer) -> str:
         """Write the file now; return where it stands.

@@ -104,7 +104,8 @@ class Estimate:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
         if self.verdicts[motor][parameter] is not Verdict.IMPLAUSIBLE:
             return ''
-        p, value = self.parameters[parameter], self.value[motor, parameter]
+        p = self.parameters[parameter]
+        value = self.value[motor, parameter]
 
         def distance(bound: tuple[str, float]) -> float:
             return float(abs(value - bound[1]) / (abs(value) + abs(bound[1]) + 1e-300))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
+from gray_box_observer.context_nodes.gradient_descent import GradientDescent
 from gray_box_observer.context_nodes.update_rule import check_parameters
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.saved_state import (
@@ -72,7 +73,7 @@ class GradientSettings:
 ROUNDING = 1e-9
 """Of the logarithms of parameters at their bounds."""
 
-_STATE = ('z', 'first', 'second', 'adam_steps', 'rate', 'loss', 'best', 'stale', 'covariance')
+_DESCENT = ('z', 'first', 'second', 'adam_steps', 'rate', 'loss', 'best', 'stale')
 
 
 class GradientUpdate:
@@ -100,16 +101,14 @@ class GradientUpdate:
         self._random = np.random.default_rng(seed)
         self._lower = np.log([p.lower for p in white_box.parameters])
         self._upper = np.log([p.upper for p in white_box.parameters])
-        self._z = np.clip(np.log(np.asarray(initial, dtype=float)), self._lower, self._upper)
-        motors = self._z.shape[0]
-        self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
-        self._first = np.zeros_like(self._z)
-        self._second = np.zeros_like(self._z)
-        self._adam_steps = np.zeros((motors, 1))
-        self._rate = np.full((motors, 1), self._rules.learning_rate)
-        self._loss = np.full((motors, 1), np.nan)
-        self._best = np.full((motors, 1), np.inf)
-        self._stale = np.zeros((motors, 1), dtype=int)
+        self._descent = GradientDescent(
+            np.log(np.asarray(initial, dtype=float)),
+            (self._lower, self._upper),
+            self._rules.learning_rate,
+            self._rules.smallest_learning_rate,
+            self._rules.patience,
+        )
+        self.replay = ReplayBuffer(self._descent.z.shape[0], self._rules.replay_capacity)
         self._covariance = self._prior_covariance()
         self._new = 0
         self._stamp_ns = 0
@@ -119,13 +118,13 @@ class GradientUpdate:
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
-        theta: Array = np.exp(self._z)
+        theta: Array = np.exp(self._descent.z)
         return theta
 
     @property
     def changed(self) -> NDArray[np.bool_]:
         """Every update changes the estimate of every motor; they are updated together."""
-        return np.ones(self._z.shape[0], dtype=bool)
+        return np.ones(self._descent.z.shape[0], dtype=bool)
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """The gradient rule keeps no count."""
@@ -148,11 +147,13 @@ class GradientUpdate:
         """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
         if is_frozen == self._is_frozen:
             return
-        self._is_frozen, self._resumes = is_frozen, not is_frozen
+        self._is_frozen = is_frozen
+        self._resumes = not is_frozen
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
-        theta, covariance = self.theta[selection], self._covariance[selection]
+        theta = self.theta[selection]
+        covariance = self._covariance[selection]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(
             self._white_box.parameters, theta, std, is_frozen=self._is_frozen
@@ -177,8 +178,8 @@ class GradientUpdate:
         ends = self._random.integers(rules.window, len(self.replay), size=rules.minibatch)
         minibatch = self._weigh(self._windows(np.sort(ends)))
         for _ in range(rules.steps):
-            self._adam_step(*minibatch)
-        self._cut_on_plateau(fresh)
+            self._descent.step(*self._weighted_loss(*minibatch))
+        self._descent.cut_on_plateau(fresh)
         self._covariance = self._sandwich()
         return True
 
@@ -190,8 +191,8 @@ class GradientUpdate:
             'stamp_ns': self._stamp_ns,
             'parameters': [p.name for p in self._white_box.parameters],
         }
-        arrays = {name: getattr(self, f'_{name}') for name in _STATE}
-        return plain, {**arrays, 'replay': self.replay.content()}
+        arrays = {name: getattr(self._descent, name) for name in _DESCENT}
+        return plain, {**arrays, 'covariance': self._covariance, 'replay': self.replay.content()}
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave.
@@ -203,9 +204,11 @@ class GradientUpdate:
         check_parameters(plain, self._white_box.parameters)
         self._check(plain, arrays)
         self._random.bit_generator.state = plain['random']
-        self._new, self._stamp_ns = int(plain['new']), int(plain['stamp_ns'])
-        for name in _STATE:
-            setattr(self, f'_{name}', arrays[name])
+        self._new = int(plain['new'])
+        self._stamp_ns = int(plain['stamp_ns'])
+        self._covariance = arrays['covariance']
+        for name in _DESCENT:
+            setattr(self._descent, name, arrays[name])
         self.replay.refill(arrays['replay'])
 
     def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
@@ -214,7 +217,7 @@ class GradientUpdate:
         Raises:
             CheckpointError: something is missing, or no state of this rule.
         """
-        motors, n = self._z.shape
+        motors, n = self._descent.z.shape
         rules = {
             'z': ArrayRule((motors, n)),
             'first': ArrayRule((motors, n), -1.0, 1.0),
@@ -279,52 +282,18 @@ class GradientUpdate:
         gradient = ((weights * np.sign(gap))[:, None, :] @ slope)[:, 0, :]
         return loss, gradient
 
-    def _adam_step(self, phi: Array, target: Array, weights: Array) -> None:
-        loss, gradient = self._weighted_loss(phi, target, weights)
-        scale = np.maximum(np.abs(gradient).max(axis=1, keepdims=True), 1e-300)
-        gradient = gradient / np.maximum(
-            scale, loss
-        )  # Adam's epsilon must not depend on the motor's size
-        self._adam_steps = (
-            self._adam_steps + 1.0
-        )  # not in place: a state that was handed out must stay as it is
-        self._first = 0.9 * self._first + 0.1 * gradient
-        self._second = 0.999 * self._second + 0.001 * gradient**2
-        first = self._first / (1.0 - 0.9**self._adam_steps)
-        second = self._second / (1.0 - 0.999**self._adam_steps)
-        step = self._rate * first / (np.sqrt(second) + 1e-8)
-        self._z = np.clip(self._z - step, self._lower, self._upper)
-
-    def _cut_on_plateau(self, fresh: Array) -> None:
-        """Halve the learning rate where the loss has stopped to fall (thesis 4.3.2)."""
-        has_loss = np.isfinite(self._loss)
-        self._loss = np.where(has_loss, 0.8 * self._loss + 0.2 * fresh, fresh)
-        better = self._loss < 0.95 * self._best
-        self._best = np.where(better, self._loss, self._best)
-        self._stale = np.where(better, 0, self._stale + 1)
-        is_stale = self._stale >= self._rules.patience
-        self._rate = np.where(
-            is_stale, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate
-        )
-        self._stale = np.where(is_stale, 0, self._stale)
-
     def _follow_drift(self, fresh: Array) -> None:
         """Start over from the present values when the newest data no longer fit."""
-        is_settled = self._rate <= 0.25 * self._rules.learning_rate
         newest = self._white_box.state(self.replay.torque_nm(self._rules.batch_size))
         floor = self._rules.drift_floor * np.abs(newest).mean(axis=1, keepdims=True)
-        has_drifted = is_settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
+        least = np.maximum(self._rules.drift_ratio * self._descent.loss, floor)
+        has_drifted = self._descent.is_settled & (fresh > least)
         if not np.any(has_drifted):
             return
         self.replay.forget(
             2 * max(self._rules.batch_size, self._rules.window + 1)
         )  # what an update needs
-        self._rate = np.where(has_drifted, self._rules.learning_rate, self._rate)
-        self._best = np.where(has_drifted, np.inf, self._best)
-        self._loss = np.where(has_drifted, fresh, self._loss)
-        self._second = np.where(has_drifted, 0.0, self._second)
-        self._first = np.where(has_drifted, 0.0, self._first)
-        self._adam_steps = np.where(has_drifted, 0, self._adam_steps)
+        self._descent.begin_anew(has_drifted, fresh)
 
     def _prior_covariance(self) -> Array:
         theta = self.theta

@@ -109,7 +109,8 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
     rows = _rows(path)
     if shape.names:
         next(rows, None)
-    count, delimiter = shape.column_count, shape.delimiter
+    count = shape.column_count
+    delimiter = shape.delimiter
     numbers = sorted(column_numbers) or [1]
     columns: dict[int, list[float]] = {number: [] for number in numbers}
     lines: list[int] = []

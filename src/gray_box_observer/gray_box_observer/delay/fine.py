@@ -119,13 +119,15 @@ class FineSearch:
         return self._fitted(free)
 
     def _start(self, delay_s: float) -> None:
-        self._delay_s, self._gain = delay_s, 0.0
+        self._delay_s = delay_s
+        self._gain = 0.0
         stretch = replace(self._stretch(delay_s), state=self._near)
         window = min(20, stretch.voltage_v.shape[1] // 4)
         self._p = within_bounds(
             self._white_box, linear_start(self._white_box, self._initial, stretch, window)
         )
-        self._about, self._first = self._near, self._near[:, 0]
+        self._about = self._near
+        self._first = self._near[:, 0]
 
     def _stretch(self, delay_s: float) -> SampleWindow:
         times = self._signals.time_s
@@ -140,7 +142,8 @@ class FineSearch:
         )
 
     def _climb(self, free: bool) -> Generator[None, None, None]:
-        least, idle = math.inf, 0
+        least = math.inf
+        idle = 0
         for iteration in range(STEPS):
             is_small = self._step(free)
             gain = 0.5 * np.count_nonzero(self._valid) * np.log(least / self._noise2)
@@ -215,14 +218,16 @@ class FineSearch:
         self._evaluate()
         self._maps = self._maps.motion
         stretch = self._stretch(self._delay_s)
-        least, count = self._spread(), float(np.sum(self._valid))
+        least = self._spread()
+        count = float(np.sum(self._valid))
         best_gain = 0.0
         near = np.abs(self._residual) < OUTLIER * self._scale
         for gain in GAINS:
             self._predict(stretch, gain * near)
             spread = self._spread()
             if count * np.log(least / spread) > (GAIN_EVIDENCE if best_gain == 0.0 else 0.0):
-                best_gain, least = gain, spread
+                best_gain = gain
+                least = spread
         self._gain = best_gain
         return best_gain > 0.0
 

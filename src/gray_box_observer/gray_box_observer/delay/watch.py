@@ -262,7 +262,8 @@ class DelayWatch:
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
-        estimate, is_early = self.estimate, self._count <= 2 * TORQUES
+        estimate = self.estimate
+        is_early = self._count <= 2 * TORQUES
         if estimate.is_estimated and is_early:
             return True
         if estimate.verdict is DelayVerdict.UNDECLARED and not is_early:
@@ -389,7 +390,8 @@ class DelayWatch:
         std_s, applied_std_s = (
             number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s')
         )
-        learnt_count, word = whole(plain, 'learnt'), entry(plain, 'verdict')
+        learnt_count = whole(plain, 'learnt')
+        word = entry(plain, 'verdict')
         if not isinstance(word, str) or word not in DelayVerdict.__members__:
             raise CheckpointError(
                 f'verdict is {printable(repr(word), 40)}, expected one of a delay'

@@ -43,7 +43,9 @@ _IN_BRACKETS = re.compile(r'\[([^\[\]]*)\]')
 _NUMBERED = re.compile(r'\$(\d{1,6})')
 _DIGITS_FIRST = re.compile(r'(?<![\w.$])\.?[0-9][\w.]*')
 _DECIMAL = re.compile(r'(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][0-9]*)?')
-_COLUMN, _TEXT, _UNIT = '__column__', '__quoted__', '__unit__'
+_COLUMN = '__column__'
+_TEXT = '__quoted__'
+_UNIT = '__unit__'
 _ARITHMETIC: dict[type[ast.AST], Callable[..., Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,

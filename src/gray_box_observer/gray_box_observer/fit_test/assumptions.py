@@ -110,7 +110,9 @@ def _doubt_of_sizes(motor: MotorConfiguration, white_box: MotorWhiteBox, samples
     voltage_v = np.minimum(voltage_v, quantile(voltage_v, USUAL))
     if not _are_rare(current_a, voltage_v):
         return ''
-    peak_a, mean_a, mean_v = current_a.max(), current_a.mean(), voltage_v.mean()
+    peak_a = current_a.max()
+    mean_a = current_a.mean()
+    mean_v = voltage_v.mean()
     if peak_a > LARGEST_CURRENT_A:
         text = f'{peak_a:.3g} A, which only the largest drives take'
         quantity = '' if motor.reads_current else 'current'

@@ -102,7 +102,8 @@ def doubt_of_data_sheet(
     ]
     if not findings:
         return None
-    first, hint = findings[0], ''
+    first = findings[0]
+    hint = ''
     if _is_one_scale(first, comparisons):
         hint = _quantity_hint(motor, quantity, first) or _unit_hint(first, is_duty=is_duty)
     hint = hint or (

@@ -146,7 +146,8 @@ def _dead_zone(scene: Scene) -> Iterator[Shapes]:
 
 
 def _sag(scene: Scene) -> Iterator[Shapes]:
-    voltage_v, progress = scene.voltage_v, scene.progress
+    voltage_v = scene.voltage_v
+    progress = scene.progress
     yield -voltage_v * progress, -voltage_v * progress**2
     if scene.fine:
         angle = 0.5 * math.pi * (progress + 1.0)
@@ -184,7 +185,9 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
             yield (_delayed(speed, samples) - speed,)
 
 
-COLOURED_NOISE, CHANGE, LOAD = 'coloured_noise', 'change', 'load'
+COLOURED_NOISE = 'coloured_noise'
+CHANGE = 'change'
+LOAD = 'load'
 
 EFFECTS: dict[str, Effect] = {
     effect.name: effect

@@ -73,7 +73,8 @@ class CalmRange(NamedTuple):
         Args:
             estimate: of this motor alone.
         """
-        values, verdicts = estimate.value[0].tolist(), estimate.verdicts[0]
+        values = estimate.value[0].tolist()
+        verdicts = estimate.verdicts[0]
         columns = zip(values, self.lowest, self.highest, verdicts, strict=True)
         for value, lowest, highest, verdict in columns:
             is_far = value < lowest or value > highest
@@ -115,7 +116,8 @@ class FitSchedule:
         self._movers = frozenset()
         if motors.size == 1 and self._is_calm(replay, estimate, motors.item()):
             return []
-        places, due = replay.received[motors], self._due[motors]
+        places = replay.received[motors]
+        due = self._due[motors]
         has_waited, has_changed = places >= due, replay.begin(motors) > self._begin[motors]
         far = (estimate.value < self._lowest[motors]) | (estimate.value > self._highest[motors])
         if not np.count_nonzero(far) and not np.count_nonzero(has_waited | has_changed):
@@ -139,7 +141,8 @@ class FitSchedule:
 
     def _is_calm(self, replay: ReplayBuffer, estimate: Estimate, motor: int) -> bool:
         """Tell of one motor, whose estimate this is, whether nothing asks for a test: mostly so."""
-        place, begin = replay.received_of(motor), replay.begin_of(motor)
+        place = replay.received_of(motor)
+        begin = replay.begin_of(motor)
         return self._calm_ranges[motor].includes(place, begin, estimate)
 
     def _calm_range(self, motor: int) -> CalmRange:

@@ -24,15 +24,18 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 GIVE_RAD = 5e-3
 """Standard deviation of the angle of the motor's shaft that is taken for likely beforehand."""
 
-RESTING, FAST = 1e-3, 0.99
+RESTING = 1e-3
+FAST = 0.99
 """Share of a large speed below which a measured one is that of a shaft at rest, and the quantile of
 the speeds that is large: one wild reading is none."""
 
-NOISY, NOISIEST = 3.0, 5e-3
+NOISY = 3.0
+NOISIEST = 5e-3
 """Standard deviations of the speed's noise that are rest too, and the largest noise that is taken
 for some, as a share of a large speed: a shaft that is sampled too slowly has none."""
 
-BREAKAWAY, SLOW = 0.25, 0.02
+BREAKAWAY = 0.25
+SLOW = 0.02
 """Standard deviation, over ``T_c``, of the friction that is there beside it where the shaft hardly
 moves; and the share of the largest speed at which most of it has gone."""
 

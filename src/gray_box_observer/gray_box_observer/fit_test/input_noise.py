@@ -84,7 +84,8 @@ class _Push:
             end: what it does there.
             decay: shape (k,): what every interval leaves of that.
         """
-        current_a, slopes_a = self.current_a.copy(), self.slopes_a.copy()
+        current_a = self.current_a.copy()
+        slopes_a = self.slopes_a.copy()
         current_a[1:] += decay[1:] * end.current_a[:-1]
         slopes_a[:, 1:] += decay[1:] * end.slopes_a[:, :-1]
         return _Push(current_a, slopes_a)
@@ -100,7 +101,9 @@ class _Motion:
     """
 
     def __init__(self, white_box: MotorWhiteBox, p: Array, run: FreeRun) -> None:
-        self._white_box, self._p, self._run = white_box, p, run
+        self._white_box = white_box
+        self._p = p
+        self._run = run
         self._ends = self._moved(0.0, 0.0, 0.0)
 
     def push(
@@ -155,7 +158,8 @@ def input_noise_scores(
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
     if not max(voltage_v2, std_rad_s) > 0.0:
         return scores
-    motion, weight = _Motion(white_box, p, run), _lasting_weight(run)
+    motion = _Motion(white_box, p, run)
+    weight = _lasting_weight(run)
     products = np.zeros((p.shape[1], run.decay.size))
     if voltage_v2 > 0.0:
         push = motion.push(voltage_v=math.sqrt(voltage_v2))

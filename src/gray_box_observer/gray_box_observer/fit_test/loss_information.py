@@ -165,7 +165,9 @@ class LossInformation:
         root = numbers(plain, 'root', ArrayRule(self._root.shape))
         power = numbers(plain, 'power', ArrayRule(self._power.shape))
         self._interval_count = whole(plain, 'intervals')
-        self._about, self._root, self._power = about, root, power
+        self._about = about
+        self._root = root
+        self._power = power
 
 
 def _crossings(current_a: Array) -> NDArray[np.bool_]:

@@ -81,7 +81,8 @@ class FitMonitor:
             motor: its place on the motor axis.
             delay: what is known of its delay.
         """
-        subject, test = self._begin(nodes, estimate, motor, delay), self._tests[motor]
+        subject = self._begin(nodes, estimate, motor, delay)
+        test = self._tests[motor]
         count = subject.count(WINDOW)
         if count < test.fewest:
             self.schedule.put_off(motor, subject.place + test.fewest - count)
@@ -97,7 +98,8 @@ class FitMonitor:
 
         Arguments are those of :meth:`test`.
         """
-        subject, test = self._begin(nodes, estimate, motor, delay), self._tests[motor]
+        subject = self._begin(nodes, estimate, motor, delay)
+        test = self._tests[motor]
         count = subject.count(RECENT)
         if count < test.fewest or not test.can_tell(subject, count):
             return
@@ -145,7 +147,8 @@ class FitMonitor:
         rows = [row for row, motor in enumerate(motors.tolist()) if motor in self._limited_motors]
         if not rows:
             return estimate
-        covariance, verdicts = estimate.covariance, list(estimate.verdicts)
+        covariance = estimate.covariance
+        verdicts = list(estimate.verdicts)
         for row in rows:
             motor = int(motors[row])
             result = self._results[motor]

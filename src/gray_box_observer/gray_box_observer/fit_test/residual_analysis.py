@@ -293,7 +293,8 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     if 4 * count >= slope.size:  # there is no rest to compare with
         return 0.0
     order = np.argpartition(slope, (slope.size - 4 * count, slope.size - count))
-    steep, rest = order[-count:], order[: -4 * count]
+    steep = order[-count:]
+    rest = order[: -4 * count]
     size = np.abs(remainder)
     steep_a = MAD_TO_STD * float(median(size[steep]))
     rest_a = max(MAD_TO_STD * float(median(size[rest])), floor_a)

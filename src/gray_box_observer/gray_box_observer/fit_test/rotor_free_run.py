@@ -156,7 +156,9 @@ def _transitions(runs: FreeRuns) -> Array:
 
 def _by_start(runs: FreeRuns) -> list[Array]:
     """Derivatives of the current by every first state, shape (sample,) each."""
-    total, begin, columns = runs.residual_a.size, 0, []
+    total = runs.residual_a.size
+    begin = 0
+    columns = []
     for by_start in runs.by_start:
         for state in range(len(State)):
             column = np.zeros(total)

@@ -37,7 +37,8 @@ def inductance_shift(white_box: MotorWhiteBox, samples: Array, theta: Array) -> 
     if not white_box.speed_measured:
         return 0.0
     interval_s = samples[INTERVAL, 1:]
-    current_a, speed_rad_s = white_box.state(samples[TORQUE]), samples[SPEED]
+    current_a = white_box.state(samples[TORQUE])
+    speed_rad_s = samples[SPEED]
     is_usable = (interval_s > 0.0) & np.isfinite(speed_rad_s[1:] + speed_rad_s[:-1])
     if np.count_nonzero(is_usable) < FEWEST:
         return 0.0

@@ -11,7 +11,8 @@ from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Amount, Projection
 from gray_box_observer.white_box.interface import Array
 
-DELAY, LEAD = 'delay', 'lead'
+DELAY = 'delay'
+LEAD = 'lead'
 """Names of what windows tell of such errors, in sample intervals."""
 
 STAMP_STD = 0.05

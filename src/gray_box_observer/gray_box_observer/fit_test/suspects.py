@@ -226,7 +226,8 @@ def _balance(
     white_box: MotorWhiteBox, stretch: SampleWindow
 ) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
     """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
-    current_a, interval_s = stretch.state[0], stretch.interval_s[0]
+    current_a = stretch.state[0]
+    interval_s = stretch.interval_s[0]
     speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
     taken_off = np.broadcast_to(

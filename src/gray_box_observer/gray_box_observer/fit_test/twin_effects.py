@@ -16,7 +16,9 @@ from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
-LOST_VOLTAGE, OFFSET, LOAD_TORQUE = 'brush_drop', 'voltage_offset', 'load_torque'
+LOST_VOLTAGE = 'brush_drop'
+OFFSET = 'voltage_offset'
+LOAD_TORQUE = 'load_torque'
 
 TWINS = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
 """Context nodes of effects that look alike as long as the current keeps its sign."""

@@ -222,7 +222,8 @@ class WindowTest:
     def test_change(self, motor: MotorUnderTest, count: int) -> FitResult | None:
         """Test so many newest samples of a motor that has passed; None where it still does."""
         finding = self._look(motor, count)
-        before, verdict = motor.before, finding.judgement.verdict
+        before = motor.before
+        verdict = finding.judgement.verdict
         was_ok = before is not None and before.assessment.verdict is FitVerdict.OK
         if verdict is not FitVerdict.MISFIT and not (was_ok and shows_change(finding.analysis)):
             return None
@@ -236,9 +237,13 @@ class WindowTest:
 
     def _look(self, motor: MotorUnderTest, count: int) -> _Finding:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
-        white_box, before, estimate = self.white_box, motor.before, motor.estimate
-        theta, content = estimate.value, np.ascontiguousarray(motor.newest(count))
-        samples, window = content[:, 0], SampleWindow.of_content(white_box, content)
+        white_box = self.white_box
+        before = motor.before
+        estimate = motor.estimate
+        theta = estimate.value
+        content = np.ascontiguousarray(motor.newest(count))
+        samples = content[:, 0]
+        window = SampleWindow.of_content(white_box, content)
         is_drifting = motor.nodes.is_drifting(motor.motor)
         with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
             analysis = analyse(
@@ -284,8 +289,11 @@ class WindowTest:
 
     def _conclude(self, motor: MotorUnderTest, count: int, finding: _Finding) -> FitResult:
         """Name what is likely left out, and say what the test leaves."""
-        analysis, judgement, before = finding.analysis, finding.judgement, motor.before
-        samples, suspects = motor.newest(count)[:, 0], finding.suspects
+        analysis = finding.analysis
+        judgement = finding.judgement
+        before = motor.before
+        samples = motor.newest(count)[:, 0]
+        suspects = finding.suspects
         if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
             has_rotor = self.white_box.has_rotor
             candidates = (
@@ -413,7 +421,8 @@ class WindowTest:
 
     def _suspect_of(self, explanation: Explanation) -> Suspect:
         """Name an effect, with a remedy that this form of the motor takes."""
-        effect, name = explanation.effect.name, self.configuration.name
+        effect = explanation.effect.name
+        name = self.configuration.name
         if self.white_box.has_rotor and effect == 'current_offset':
             return self._of_load(explanation.evidence)
         suspect = explanation.suspect(name, float(self.white_box.torque_constant))

@@ -403,7 +403,9 @@ def _lines_of_progress(
     bags: Sequence[Path], limits: ReadLimits, work: str
 ) -> Callable[[int], object]:
     """Return what counts messages, and says how many there were, LINE_PERIOD_S apart at least."""
-    count, total, line_at_s = 0, 0, time.monotonic() + LINE_PERIOD_S
+    count = 0
+    total = 0
+    line_at_s = time.monotonic() + LINE_PERIOD_S
 
     def update(more: int) -> None:
         nonlocal count, total, line_at_s

@@ -74,7 +74,8 @@ def _of_short_time_constant(
     values = [motor['parameters'].get(p, {}).get('value') for p in ('inductance', 'resistance')]
     if not (motor['samples'] and all(value is not None and value > 0.0 for value in values)):
         return None
-    interval_s, time_constant_s = motor['duration_s'] / motor['samples'], values[0] / values[1]
+    interval_s = motor['duration_s'] / motor['samples']
+    time_constant_s = values[0] / values[1]
     if not time_constant_s < max(SHORTEST) * interval_s:
         return None
     remedy = 'sample faster'

@@ -110,7 +110,8 @@ def run(
     """
     observer = Observer(configuration, training)
     outcome = Outcome(observer, MessageInput(observer, configuration))
-    digest, courses = hashlib.sha256(), outcome.courses
+    digest = hashlib.sha256()
+    courses = outcome.courses
 
     def ingest(results: Iterable[Result]) -> None:
         for result in results:
@@ -220,7 +221,8 @@ def _feed(
     progress: Progress,
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome.warnings)
-    message_input, count = outcome.message_input, 0
+    message_input = outcome.message_input
+    count = 0
     for raw, message in _decode_messages(bag, signals, message_input.max_message_bytes):
         if message is None:
             is_oversized = len(raw.data) > message_input.max_message_bytes

@@ -10,7 +10,8 @@ from gray_box_observer.fit_test import FitVerdict
 
 EXIT_UNMET = 4
 
-FIT, IDENTIFIED = 'fit', 'identified'
+FIT = 'fit'
+IDENTIFIED = 'identified'
 
 REQUIREMENTS = (FIT, IDENTIFIED)
 """The white box explains the data; and every parameter is known besides."""

@@ -113,8 +113,10 @@ def describe(outcome: Outcome) -> dict[str, Any]:
 
 def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     """Return what was found of one motor."""
-    motor, course = outcome.observer.motors[name], outcome.courses[name]
-    estimate, delay = motor.estimate, motor.delay
+    motor = outcome.observer.motors[name]
+    course = outcome.courses[name]
+    estimate = motor.estimate
+    delay = motor.delay
     counts = outcome.observer.counts(name)
     skill = outcome.observer.skill(name)
     alarms_s = [round(time_s, 6) for time_s in course.alarms_s]

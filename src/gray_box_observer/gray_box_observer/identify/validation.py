@@ -152,7 +152,8 @@ class _Record:
         self.rows: list[tuple[float, ...]] = []
 
     def __call__(self, result: Result) -> None:
-        sample, prediction = result.sample, result.prediction
+        sample = result.sample
+        prediction = result.prediction
         predicted_nm = np.nan if prediction is None else float(prediction.torque_nm[0])
         values = (sample.interval_s, sample.voltage_v, sample.torque_nm, sample.speed_rad_s)
         self.rows.append((*(float(value[0]) for value in values), predicted_nm))

@@ -112,7 +112,8 @@ def _form(
     motors = [motor.without_mechanics() for motor in motors]
 
     def watch(motor: int) -> DelayWatch:
-        initial, estimates_delay = np.array([motors[motor].initial()]), first.estimates_delay
+        initial = np.array([motors[motor].initial()])
+        estimates_delay = first.estimates_delay
         kind_of_watch = DeclaredDelay if boxes[motor].has_rotor else DelayWatch
         return kind_of_watch(
             boxes[motor],
@@ -146,10 +147,12 @@ def _form_choice(
     sources: tuple[str, ...] = (source,)
     reason = 'as configured'
     if source == 'auto' and speed_measured:
-        sources, reason = (MEASURED,), 'the first torque sample brought a speed'
+        sources = (MEASURED,)
+        reason = 'the first torque sample brought a speed'
     elif source == 'auto':
         obstacle = _obstacle(configuration, motors)
-        sources, reason = (THESIS,), f'a rotor is not tried: {obstacle}'
+        sources = (THESIS,)
+        reason = f'a rotor is not tried: {obstacle}'
         if obstacle is None:
             sources = (THESIS, ROTOR)
             reason = 'a speed of Kt i is assumed, as in the thesis, until the data call for a rotor'
@@ -312,7 +315,8 @@ def _forecasting(
         Variant,
     )
 
-    first, count = motors[0], len(motors)
+    first = motors[0]
+    count = len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
     # every trainer is a process with a context of its own on the device: one a motor would fill it
@@ -324,7 +328,8 @@ def _forecasting(
         device=taught_on,
         **configuration.group('training'),
     )
-    initial, seed = np.array(first.initial()), _seed(configuration, first)
+    initial = np.array(first.initial())
+    seed = _seed(configuration, first)
     job = {
         'white_box': white_box.to_dict(),
         'rules': rules.to_dict(),

@@ -94,6 +94,49 @@ class OpenForms:
         return is_known and len(set(effects)) == len(effects)
 
 
+@dataclass(slots=True)
+class TrialPace:
+    """When the next trial of other forms is due.
+
+    Attributes:
+        due: place of the sample from which it is.
+        wait: samples from a trial that has failed to the next one.
+        trials: how many have begun.
+    """
+
+    due: int = FEWEST
+    wait: int = FEWEST
+    trials: int = 0
+
+    def begin(self, place: int) -> None:
+        """Note that a trial begins; the next ones come when the samples have doubled."""
+        self.trials += 1
+        self.wait = min(max(2 * self.wait, place), LONGEST_WAIT)
+
+    def postpone(self, place: int) -> None:
+        """Note that nothing could be tried."""
+        self.due = place + FEWEST
+
+    def end(self, place: int) -> None:
+        """Note that a trial has ended."""
+        self.due = place + self.wait
+
+
+@dataclass(slots=True)
+class Reasons:
+    """Why the form is what it is, for people.
+
+    Attributes:
+        source: why the speed comes from there.
+        effects: why these effects were added.
+        refusal: in doubt, why no other form is in force; else empty.
+    """
+
+    source: str
+    effects: str
+    refusal: str = ''
+
+
 class FormChoice:
     """Follows one motor, and says which form its physics takes, and why.
 
@@ -116,13 +159,12 @@ class FormChoice:
         effects_reason: str = '',
     ) -> None:
         self.kind = FormKind(source)
-        self._reason = printable(reason, LONGEST_REASON)
-        self._effects_reason = printable(effects_reason, LONGEST_REASON)
-        self._refusal = ''
+        self._reasons = Reasons(
+            printable(reason, LONGEST_REASON), printable(effects_reason, LONGEST_REASON)
+        )
         self._open = open_forms if open_forms is not None and open_forms.is_choice else None
         self.is_idle = self._open is None
-        self._due = self._wait = FEWEST
-        self._trials = 0
+        self._pace = TrialPace()
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._place = 0  # of the newest sample
@@ -130,13 +172,13 @@ class FormChoice:
     @property
     def reason(self) -> str:
         """Why the speed comes from there; in doubt, why it does not come from elsewhere."""
-        return (self._refusal if self.speed_is_open else '') or self._reason
+        return (self._reasons.refusal if self.speed_is_open else '') or self._reasons.source
 
     @property
     def effects_reason(self) -> str:
         """Why these effects were added; in doubt, why no others are."""
         is_open = self._open is not None and bool(self._open.effects)
-        return (self._refusal if is_open else '') or self._effects_reason
+        return (self._reasons.refusal if is_open else '') or self._reasons.effects
 
     @property
     def is_open(self) -> bool:
@@ -174,18 +216,19 @@ class FormChoice:
         """
         if self._open is None:
             return None
-        place, is_doubted = int(nodes.replay.received[0]), self._is_doubted(fit)
+        place = int(nodes.replay.received[0])
+        is_doubted = self._is_doubted(fit)
         new_count = max(0, place - self._place)
         self._budget.grant(float(sample.interval_s[0]), new_count)
         self.is_idle = not is_doubted and self._trial is None
         if not is_doubted:
-            self._refusal = ''
-        elif not self._refusal:
-            self._refusal = self._why_not_yet(self._candidates(fit))
+            self._reasons.refusal = ''
+        elif not self._reasons.refusal:
+            self._reasons.refusal = self._why_not_yet(self._candidates(fit))
         if self._trial is not None and new_count > 0:
             self._trial.keep(nodes.replay.newest(min(new_count, nodes.replay.stored(0))))
         self._place = place
-        if self._trial is None and is_doubted and place >= self._due:
+        if self._trial is None and is_doubted and place >= self._pace.due:
             self._trial = self._begin(white_box, nodes, fit, sample.stamp_ns)
         if self._trial is None:
             return None
@@ -214,18 +257,20 @@ class FormChoice:
         self._budget.pieces = 0
         form = outcome.form
         if form is None or not is_doubted:
-            self._due = place + self._wait
-            self._refusal = outcome.reason if is_doubted else ''
+            self._pace.end(place)
+            self._reasons.refusal = outcome.reason if is_doubted else ''
             return None
         assert outcome.kind is not None
         if outcome.kind.source != self.kind.source:
-            self._reason, self._effects_reason = outcome.reason, NOTHING_ADDED
+            self._reasons.source = outcome.reason
+            self._reasons.effects = NOTHING_ADDED
         else:
-            self._effects_reason = outcome.reason
-        self.kind, self._refusal = outcome.kind, ''
+            self._reasons.effects = outcome.reason
+        self.kind = outcome.kind
+        self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
-        self._due = self._place + self._wait
+        self._pace.end(self._place)
         return form
 
     def wake(self) -> None:
@@ -264,12 +309,12 @@ class FormChoice:
         What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of the
         two is tried first. They take turns, for a fit of a rotor costs most.
         """
-        if plain.source != ROTOR or not self._trials:
+        if plain.source != ROTOR or not self._pace.trials:
             return [plain]
         others = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
         is_lossy = bool(others) and NODES.get(others[0]) == LOST_VOLTAGE
         in_turn = (LOST_VOLTAGE, LOAD_TORQUE) if is_lossy else (LOAD_TORQUE, LOST_VOLTAGE)
-        return [plain, plain.with_effect(in_turn[(self._trials - 1) % len(in_turn)])]
+        return [plain, plain.with_effect(in_turn[(self._pace.trials - 1) % len(in_turn)])]
 
     def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
@@ -278,27 +323,27 @@ class FormChoice:
         assert self._open is not None
         candidates = self._candidates(fit)
         if not candidates:
-            self._due, self._refusal = self._place + FEWEST, ''
+            self._pace.postpone(self._place)
+            self._reasons.refusal = ''
             return None
         replay = nodes.replay
         count = min(replay.stored(0), replay.capacity, NEWEST)
         content = replay.newest(count).copy()
         if not can_tell(white_box, content):
-            self._due = self._place + FEWEST
-            self._refusal = (
+            self._pace.postpone(self._place)
+            self._reasons.refusal = (
                 f'{self.kind.in_words} does not explain the data, but the voltage has hardly '
                 f'moved: {candidates[0].in_words} cannot be told'
             )
             return None
-        self._trials += 1
-        self._refusal = self._why_not_yet(candidates)
-        self._wait = min(max(2 * self._wait, self._place), LONGEST_WAIT)
+        self._pace.begin(self._place)
+        self._reasons.refusal = self._why_not_yet(candidates)
         before_a = residual_a(white_box, nodes, content)
         start = TrialStart(
             self.kind,
             candidates,
             len(white_box.parameters),
-            self._trials,
+            self._pace.trials,
             content,
             stamp_ns,
             before_a,
@@ -319,13 +364,13 @@ class FormChoice:
         plain = {
             'source': self.kind.source,
             'effects': list(self.kind.effects),
-            'reason': self._reason,
-            'effects_reason': self._effects_reason,
-            'refusal': self._refusal,
+            'reason': self._reasons.source,
+            'effects_reason': self._reasons.effects,
+            'refusal': self._reasons.refusal,
             'is_open': self.is_open,
-            'due': self._due - place,
-            'wait': self._wait,
-            'trials': self._trials,
+            'due': self._pace.due - place,
+            'wait': self._pace.wait,
+            'trials': self._pace.trials,
             'credit': self._budget.credit,
             'seen': self._place - place,
             'is_idle': self.is_idle,
@@ -356,19 +401,21 @@ class FormChoice:
             CheckpointError: it is no state that a choice could have been in.
         """
         reasons = [entry(plain, name) for name in ('reason', 'refusal')]
-        reasons.append(plain.get('effects_reason', self._effects_reason))  # not of early releases
+        reasons.append(plain.get('effects_reason', self._reasons.effects))  # not of early releases
         if not all(isinstance(r, str) and r == printable(r, LONGEST_REASON) for r in reasons):
             raise CheckpointError('speed.reason is none that could have been given')
-        due, wait = whole(plain, 'due', -MOST, MOST), whole(plain, 'wait', FEWEST, LONGEST_WAIT)
-        trials, was_open = whole(plain, 'trials'), flag(plain, 'is_open')
+        due = whole(plain, 'due', -MOST, MOST)
+        wait = whole(plain, 'wait', FEWEST, LONGEST_WAIT)
+        trials = whole(plain, 'trials')
+        was_open = flag(plain, 'is_open')
         if entry(plain, 'source') not in (THESIS, ROTOR, MEASURED):
             raise CheckpointError('speed.source is none of those that there are')
         if not (self.is_open and was_open):
             return
         self._budget = WorkBudget.restored(plain)
         self._trial = None
-        self._reason, self._refusal, self._effects_reason = reasons
-        self._due, self._wait, self._trials = place + due, wait, trials
+        self._reasons = Reasons(reasons[0], reasons[2], reasons[1])
+        self._pace = TrialPace(place + due, wait, trials)
         self._place = place
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)

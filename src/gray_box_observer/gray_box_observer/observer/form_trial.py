@@ -71,7 +71,8 @@ LONGEST_BACKLOG = 4096
 
 _DECISIVE = ('inductance', 'resistance', 'inertia')
 
-_TRIAL, _BACKLOG = 'trial', 'backlog'
+_TRIAL = 'trial'
+_BACKLOG = 'backlog'
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +194,10 @@ class FormTrial:
 
     def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
         """Fit another form; return it where it explains the data clearly better."""
-        start, content = self._start, self._start.content
-        total, before_a = content.shape[2], start.before_a
+        start = self._start
+        content = self._start.content
+        total = content.shape[2]
+        before_a = start.before_a
         other = self._make(kind)
         for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
             if look > 0 and not other.can_go_on:

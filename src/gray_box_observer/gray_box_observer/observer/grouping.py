@@ -51,7 +51,8 @@ class Part:
         self, signal: str, stamp_ns: int, values: Values, speeds: Values | None
     ) -> list[Sample]:
         """Let the group have its part of a message; return the samples that it completes."""
-        pairing, source = self.group.pairing, self.source
+        pairing = self.group.pairing
+        source = self.source
         if isinstance(source, int):
             value = float(values[source])
             if speeds is not None and signal == 'torque':

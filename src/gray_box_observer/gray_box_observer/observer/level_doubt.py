@@ -170,5 +170,8 @@ class LevelDoubt:
         spread = numbers(plain, 'spread', ArrayRule(self._spread.shape))
         check_covariance('level.spread', spread)
         self._information.restore(group(plain, 'information'))
-        self.has_moved, self.is_settled, self._place = has_moved, is_settled, place - unseen
-        self._spread, self._half_interval_s = spread, half_interval_s
+        self.has_moved = has_moved
+        self.is_settled = is_settled
+        self._place = place - unseen
+        self._spread = spread
+        self._half_interval_s = half_interval_s

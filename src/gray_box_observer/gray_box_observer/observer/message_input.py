@@ -78,7 +78,8 @@ class MessageInput:
             for name, signal in self.signals.items()
             if isinstance(signal, CombinedSignal)
         }
-        torque, speed = self.signals['torque'], self.signals['speed']
+        torque = self.signals['torque']
+        speed = self.signals['speed']
         self._brings_speed = isinstance(torque, Signal) and not configuration.has_own_speed
         self._speed_scale = speed.scale if isinstance(speed, Signal) else 1.0
         self._speed_offset = speed.offset if isinstance(speed, Signal) else 0.0

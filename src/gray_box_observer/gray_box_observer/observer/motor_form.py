@@ -31,7 +31,9 @@ from gray_box_observer.white_box.interface import Array
 if TYPE_CHECKING:  # loaded where something is predicted
     from gray_box_observer.predictor import Forecasting
 
-THESIS, ROTOR, MEASURED = 'torque_constant', 'rotor', 'measured'
+THESIS = 'torque_constant'
+ROTOR = 'rotor'
+MEASURED = 'measured'
 """Sources of a motor's speed."""
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
@@ -129,7 +131,8 @@ class MotorForm:
             asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
-        work, newest = WORK_A_SAMPLE * content.shape[2], _sample(content[:, 0, -1], stamp_ns)
+        work = WORK_A_SAMPLE * content.shape[2]
+        newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
             yield from nodes.learn_remembered(content, stamp_ns)
         elif isinstance(nodes, MeasuredSpeedUpdate):

@@ -114,7 +114,8 @@ class GroupResult:
         names = self.group.names
         if len(names) > 1:
             return list(self._motor_by_motor())
-        alarm, speed = self.alarm.item(), self.update.speed
+        alarm = self.alarm.item()
+        speed = self.update.speed
         # As Result(...) does, without the call that every sample would pay for.
         result: Result = tuple.__new__(
             Result, (names[0], self.sample, self.prediction, self.estimate, alarm, speed)
@@ -122,7 +123,9 @@ class GroupResult:
         return [result]
 
     def _motor_by_motor(self) -> Iterator[Result]:
-        names, sample, prediction = self.group.names, self.sample, self.prediction
+        names = self.group.names
+        sample = self.sample
+        prediction = self.prediction
         row = dict(zip(self.changed_motors.tolist(), range(self.changed_motors.size), strict=True))
         for motor, name in enumerate(names):
             if sample.present is not None and not sample.present[motor]:

@@ -86,7 +86,8 @@ class MotorObserver:
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
         self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
-        self._interval_s, self._evenly = np.empty(0), False
+        self._interval_s = np.empty(0)
+        self._evenly = False
         self.motors = form.context_nodes.theta.shape[0]
         self._nobody = np.zeros(self.motors, dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
@@ -203,7 +204,8 @@ class MotorObserver:
         """Judge and learn the prediction of a sample."""
         self._follow()
         self._deferred_update = None
-        sample, prediction = update.sample, update.prediction
+        sample = update.sample
+        prediction = update.prediction
         forecasting = self._forecasting
         if forecasting is None or prediction is None:
             update.alarm = self.alarmed
@@ -231,7 +233,8 @@ class MotorObserver:
             return False
         has_changed = self._finish_fits()
         if self.form_choice.is_open:
-            nodes, fit = self.context_nodes, self._fit.assessment(0)
+            nodes = self.context_nodes
+            fit = self._fit.assessment(0)
             self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
             if self.context_nodes is not nodes:
                 has_changed = True

@@ -138,7 +138,8 @@ class MotorView:
     @property
     def delay_complaint(self) -> str | None:
         """What is wrong with its delay, and what to do; None where something else is likelier."""
-        fit, complaint = self.fit, self.delay.complaint(self.configuration.name)
+        fit = self.fit
+        complaint = self.delay.complaint(self.configuration.name)
         likeliest = fit.suspects[0].effect if fit.suspects else 'delay'
         return None if fit.verdict is FitVerdict.MISFIT and likeliest != 'delay' else complaint
 
@@ -196,7 +197,8 @@ class MotorView:
     @property
     def alarm(self) -> AlarmView | None:
         """Its alarm; None where no prediction is good enough to judge by."""
-        alarm, at = self.observer.alarm, self.place
+        alarm = self.observer.alarm
+        at = self.place
         if alarm is None:
             return None
         return AlarmView(

@@ -239,7 +239,8 @@ class Observer:
         if group.observer is not None:
             with suppress(Exception):  # it is broken
                 group.observer.close()
-        group.observer, group.pairing = None, StoppedPairing(counts)
+        group.observer = None
+        group.pairing = StoppedPairing(counts)
         for name in group.names:
             self.motors.pop(name, None)
             self.incidents[name] = incident
@@ -405,7 +406,8 @@ class Observer:
         """Take over the values of parameters that may change at any time; what was learnt stays."""
         self.configuration = configuration
         self._grouping.reconfigure(configuration)
-        verdicts, alarm = verdict_rules(configuration), alarm_rules(configuration)
+        verdicts = verdict_rules(configuration)
+        alarm = alarm_rules(configuration)
         for group in self.every_group:
             if group.observer is not None:
                 core_share = configuration['training.core_share']
@@ -524,7 +526,8 @@ class Observer:
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
-        pairing, still = group.pairing, samples[::-1]
+        pairing = group.pairing
+        still = samples[::-1]
         assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
         while still:
             sample = still.pop()

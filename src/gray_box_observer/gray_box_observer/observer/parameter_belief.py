@@ -50,7 +50,7 @@ class ParameterBelief:
         nodes = form.context_nodes
         motors = nodes.theta.shape[0]
         parameters = (
-            nodes.published_parameters
+            nodes.published_mechanics.parameters
             if isinstance(nodes, MeasuredSpeedUpdate)
             else form.white_box.parameters
         )
@@ -103,7 +103,8 @@ class ParameterBelief:
     def _signed(self, estimate: Estimate, motors: Any) -> Estimate:
         """Judge parameters of either sign by themselves, not by their distance from a bound."""
         places = np.flatnonzero(self._known_parts).tolist()
-        std, verdicts = estimate.std, [list(row) for row in estimate.verdicts]
+        std = estimate.std
+        verdicts = [list(row) for row in estimate.verdicts]
         for row, motor in enumerate(self._places[motors].tolist()):
             electrical = self.context_nodes.voltage_shares(motor)[0]
             shares = np.pad(electrical, (0, len(estimate.parameters) - electrical.size))
@@ -145,10 +146,12 @@ class ParameterBelief:
             )
             self._kept_verdicts = verdicts if is_everyone else None
         if is_everyone:
-            self.theta, self.covariance = estimate.value, estimate.covariance
+            self.theta = estimate.value
+            self.covariance = estimate.covariance
         else:
             self.theta, self.covariance = self.theta.copy(), self.covariance.copy()
-            self.theta[motors], self.covariance[motors] = estimate.value, estimate.covariance
+            self.theta[motors] = estimate.value
+            self.covariance[motors] = estimate.covariance
         return public_estimate
 
     def _keep_flags(self, motors: Any, is_identified: Any, known_flags: Any) -> None:

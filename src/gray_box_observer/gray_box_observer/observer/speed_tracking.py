@@ -72,7 +72,8 @@ class SpeedTracking:
         """
         torque_constant = float(self._white_box.torque_constant)
         noise_a = self._nodes.noise_a
-        interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
+        interval_s = float(sample.interval_s[0])
+        voltage_v = float(sample.voltage_v[0])
         current_a = float(sample.torque_nm[0]) / torque_constant
         self.estimate = None
         if self._is_known:

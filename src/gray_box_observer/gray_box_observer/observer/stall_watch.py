@@ -68,7 +68,8 @@ class StallWatch:
         if speed_rad_s is not None:
             self._constants = constants
         resistance, back_emf = self._constants
-        self.voltage_v, self.current_a = voltage_v, current_a
+        self.voltage_v = voltage_v
+        self.current_a = current_a
         self._largest_v = max(self._largest_v, abs(voltage_v))
         is_driven = (
             abs(voltage_v) >= LEAST_V * self._largest_v

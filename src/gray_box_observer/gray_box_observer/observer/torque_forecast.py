@@ -42,7 +42,8 @@ def torque_after_hold(group: Group, horizon_s: float) -> tuple[int, Array] | Non
     Returns:
         None where no voltage has come, nothing predicts, or torque has been learnt beyond it.
     """
-    observer, pairing = group.observer, group.pairing
+    observer = group.observer
+    pairing = group.pairing
     newest = pairing.newest_voltage
     if observer is None or newest is None:
         return None

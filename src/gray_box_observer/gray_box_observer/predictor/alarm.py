@@ -76,13 +76,16 @@ class ResidualAlarm:
 
     def relearn(self) -> None:
         """Forget what is known of the residual, and let the alarm fall; what was counted stays."""
-        self._up, self._down = self._all(0.0), self._all(0.0)
-        self._variance, self._product = self._all(0.0), self._all(0.0)
+        self._up = self._all(0.0)
+        self._down = self._all(0.0)
+        self._variance = self._all(0.0)
+        self._product = self._all(0.0)
         self._previous = self._all(0.0)
         self._interval_s = self._all(0.0)
         self._learnt_count = self._all(0)
         self._update_count = 0
-        self._scale, self._limit = self._all(0.0), self._all(np.inf)
+        self._scale = self._all(0.0)
+        self._limit = self._all(np.inf)
         self._threshold = self._all(np.inf)
         self._is_raised = self._all(False)
 
@@ -104,10 +107,8 @@ class ResidualAlarm:
     @property
     def spread(self) -> Array:
         """Standard deviation of the residual in N m, shape (motor,); NaN while nothing is known."""
-        sample_count, variance = (
-            self._axis.to_array(self._learnt_count),
-            self._axis.to_array(self._variance),
-        )
+        sample_count = self._axis.to_array(self._learnt_count)
+        variance = self._axis.to_array(self._variance)
         spread: Array = np.sqrt(np.where(sample_count > 0, variance, np.nan))
         return spread
 
@@ -130,15 +131,15 @@ class ResidualAlarm:
             interval_s: shape (motor,).
             is_identified: shape (motor,): whether every parameter was identified before the sample.
         """
-        axis, ops = self._axis, self._axis.ops
-        measured_residual, interval, is_known = (
-            axis.to_operand(residual_nm),
-            axis.to_operand(interval_s),
-            axis.to_operand(is_identified),
-        )
+        axis = self._axis
+        ops = self._axis.ops
+        measured_residual = axis.to_operand(residual_nm)
+        interval = axis.to_operand(interval_s)
+        is_known = axis.to_operand(is_identified)
         usable = ops.isfinite(measured_residual) & (interval > 0.0)
         residual = ops.where(usable, measured_residual, 0.0)
-        before, threshold = self._is_raised, self._threshold
+        before = self._is_raised
+        threshold = self._threshold
         is_judged = usable & (self._learnt_count >= self.rules.learn) & (is_known | before)
         scaled_residual = self._between(residual * self._scale, -CLIP, CLIP)
         # capped, so that the sums come down again when the fault has gone
@@ -180,11 +181,9 @@ class ResidualAlarm:
 
     def _refresh(self, is_identified: Any) -> None:
         """Work out again what changes slowly; forget sums from before identification."""
-        ops, is_armed, counts = (
-            self._axis.ops,
-            self._learnt_count >= self.rules.learn,
-            is_identified | self._is_raised,
-        )
+        ops = self._axis.ops
+        is_armed = self._learnt_count >= self.rules.learn
+        counts = is_identified | self._is_raised
         correlation = ops.clip(self._product / ops.maximum(self._variance, 1e-300), 0.0, 0.99)
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
         self._scale = 1.0 / ops.sqrt(ops.maximum(self._variance * inflation, 1e-300))

@@ -45,7 +45,8 @@ def advance(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Arra
         intervals: shape (motor,): its length, in sample intervals.
     """
     inputs = np.empty((*voltage_v.shape, SIGNALS, 1))
-    inputs[..., 0, 0], inputs[..., 1, 0] = voltage_v, speed_rad_s
+    inputs[..., 0, 0] = voltage_v
+    inputs[..., 1, 0] = speed_rad_s
     traces_at_end: Array = (
         inputs + (traces - inputs) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
     )

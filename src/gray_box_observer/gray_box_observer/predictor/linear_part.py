@@ -46,7 +46,8 @@ STRAIGHT = 1e-3
 """Likewise of the bends: where one level of the voltage is all that was seen, the line between is a
 straight one."""
 
-TRUSTED, STRANGE = 1.25, 2.0
+TRUSTED = 1.25
+STRANGE = 2.0
 """Size of a feature, in units of the largest one taught: up to the one all is used, from the other
 on nothing."""
 
@@ -109,7 +110,8 @@ class LinearPart:
             targets: shape (motor, time): what is missing.
         """
         part = _parts(targets.shape[1])
-        best_level, least = None, np.abs(targets)
+        best_level = None
+        least = np.abs(targets)
         for level in LEVELS:
             output = np.empty_like(targets)
             for k in range(PARTS):
@@ -119,7 +121,8 @@ class LinearPart:
                 ).say(inputs[:, ~other_parts])
             remaining_error = np.abs(targets - output)
             if is_significant(*_gains(least, remaining_error), SIGNIFICANT if level[1] else CHOSEN):
-                best_level, least = level, remaining_error
+                best_level = level
+                least = remaining_error
         return (
             cls.silent()
             if best_level is None
@@ -173,7 +176,8 @@ class LinearPart:
             scaled_inputs.T @ targets.ravel(),
         )
         solution /= targets.size * size
-        weight, reach = np.zeros(FEATURES), np.full(FEATURES, np.inf)
+        weight = np.zeros(FEATURES)
+        reach = np.full(FEATURES, np.inf)
         weight[is_used], reach[is_used] = (
             solution[:count],
             np.abs(selected_inputs[:, :count]).max(axis=0),

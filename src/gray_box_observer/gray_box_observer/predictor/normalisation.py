@@ -127,7 +127,8 @@ def rescale_weights(weights: Weights, old: Normalisation, new: Normalisation) ->
     """
     if old == new:
         return weights
-    input_weights, bias = weights.input.copy(), weights.bias.copy()
+    input_weights = weights.input.copy()
+    bias = weights.bias.copy()
     pairs = [(old.voltage, new.voltage)]
     if old.speed is not None and new.speed is not None:
         pairs.append((old.speed, new.speed))

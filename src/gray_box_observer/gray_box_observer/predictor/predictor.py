@@ -107,7 +107,8 @@ class Predictor(TorquePredictor):
 
     def _rollout(self, request: ForecastRequest, from_nm: Array) -> Array:
         """Torque of the white box alone at the end of an interval, (motor,); NaN: none."""
-        axis, ops = self._axis, self._axis.ops
+        axis = self._axis
+        ops = self._axis.ops
         start = ops.where(request.usable, self._white_box.state(axis.to_operand(from_nm)), 0.0)
         length_s = ops.where(request.usable, axis.to_operand(request.interval_s), 0.0)
         if axis.single:
@@ -190,8 +191,10 @@ class Predictor(TorquePredictor):
 
     def _request(self, interval_s: Array, voltage_v: Array, theta: Array) -> ForecastRequest | None:
         """Say where an interval leads; None where no motor has a known start and voltage."""
-        axis, ops = self._axis, self._axis.ops
-        voltage, speed = axis.to_operand(voltage_v), 0.0
+        axis = self._axis
+        ops = self._axis.ops
+        voltage = axis.to_operand(voltage_v)
+        speed = 0.0
         usable = (
             (axis.to_operand(interval_s) > 0.0)
             & ops.isfinite(axis.to_operand(self._rollout_nm))
@@ -203,7 +206,8 @@ class Predictor(TorquePredictor):
         if not ops.any(usable):
             return None
         voltage, speed = (ops.where(usable, signal, 0.0) for signal in (voltage, speed))
-        columns, way = axis.columns(theta), self._way
+        columns = axis.columns(theta)
+        way = self._way
         if not (
             way is not None
             and axis.same(way.voltage_v, voltage)

@@ -244,7 +244,8 @@ class ResidualForecaster:
 
         None where nothing was learnt, or nothing that helps.
         """
-        model, memory = self.correction, self._memory
+        model = self.correction
+        memory = self._memory
         if model is None or not self.is_active or memory is None:
             return None, None
         is_known = np.isfinite(torque_nm)
@@ -275,7 +276,8 @@ class ResidualForecaster:
             for signal in (request.voltage_v, steady, request.speed_rad_s)
         )
         voltage_v, steady_a, speed_rad_s = signals
-        inputs, network = model.inputs(voltage_v, current, steady_a, speed_rad_s), memory.network
+        inputs = model.inputs(voltage_v, current, steady_a, speed_rad_s)
+        network = memory.network
         for k in range(inputs.shape[1]):
             readout, network = step(model.weights, network, inputs[:, k])
         end = request.voltage_v, current[:, -1], steady, request.speed_rad_s
@@ -327,15 +329,18 @@ class ResidualForecaster:
         blank = Recollection.blank(self._motors, model.weights.hidden)
         before = self._memory if self.is_active and self._memory is not None else blank
         traces = blank.traces if newest is None else _traced(newest, model.interval_s)
-        self.correction, self._memory = model, Recollection(before.network, traces)
+        self.correction = model
+        self._memory = Recollection(before.network, traces)
 
 
 def _traced(newest: Mapping[str, Array], pace_s: float) -> Array:
     """Return the traces after samples, since the newest of them that begins a history."""
-    interval_s, speed = newest['interval_s'], np.nan_to_num(newest['speed_rad_s'])
+    interval_s = newest['interval_s']
+    speed = np.nan_to_num(newest['speed_rad_s'])
     begins = np.flatnonzero(np.any(interval_s <= 0.0, axis=0))
     first = (
         int(begins[-1]) if begins.size else 0
     )  # no interval that is known leads to it, but its speed is held next
-    voltage_v, intervals = newest['voltage_v'][:, first + 1 :], interval_s[:, first + 1 :] / pace_s
+    voltage_v = newest['voltage_v'][:, first + 1 :]
+    intervals = interval_s[:, first + 1 :] / pace_s
     return lag_features.ending(voltage_v, speed[:, first:-1], intervals)

@@ -96,7 +96,8 @@ class RotorPredictor(TorquePredictor):
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> RotorPrediction:
         """Forecast the torque at the end of an interval; see :class:`TorquePredictor`."""
         self._look_up(theta[0])
-        length_s, volt = float(interval_s[0]), float(voltage_v[0])
+        length_s = float(interval_s[0])
+        volt = float(voltage_v[0])
         start = self._states
         if start is None or not (length_s > 0.0 and math.isfinite(volt)):
             return _nothing()
@@ -154,7 +155,8 @@ class RotorPredictor(TorquePredictor):
         if math.isfinite(volt):
             self._largest_v = max(self._largest_v, volt)
         if anew[0]:
-            states, self._wait_count = None, 0
+            states = None
+            self._wait_count = 0
         elif states is None:
             states = self._begun(sample, speed)
         self._states = states
@@ -198,7 +200,8 @@ class RotorPredictor(TorquePredictor):
 
     def _moved(self, start: Array, volt: float, parts_s: Array) -> Array | None:
         """Follow a held voltage, shape (part + 1, state); None where the run leaves its bounds."""
-        values, largest_v = self._values, max(self._largest_v, abs(volt))
+        values = self._values
+        largest_v = max(self._largest_v, abs(volt))
         sizes = np.array(
             [largest_v / values['resistance'], largest_v / values['back_emf_constant']]
         )
@@ -225,7 +228,8 @@ class RotorPredictor(TorquePredictor):
 
 def _parts(instants_s: Array) -> Array:
     """Lengths of the parts between instants; a long way to the first one is cut into parts too."""
-    first_s, steps = float(instants_s[0]), np.diff(instants_s)
+    first_s = float(instants_s[0])
+    steps = np.diff(instants_s)
     return np.concatenate([np.full(PIECES, first_s / PIECES), steps])
 
 

@@ -31,7 +31,8 @@ def is_significant(had: Array, gains: Array, significant: float = SIGNIFICANT) -
         gains: shape (part,): by how much less they are with it.
         significant: least gain, in its standard errors.
     """
-    total, n = float(had.sum()), had.size
+    total = float(had.sum())
+    n = had.size
     if total <= 0.0 or total**2 < SPEAKING * float(np.sum(had**2)):
         return False
     ratio = float(gains.sum()) / total

@@ -40,7 +40,8 @@ of nowhere."""
 SLOWEST = 1e-12
 """Smallest decay rate in 1/s; keeps logarithms finite."""
 
-SHORTEST, LONGEST = 1e-20, 1e6
+SHORTEST = 1e-20
+LONGEST = 1e6
 """Smallest and largest product of interval and decay rate that are told apart from nothing and from
 infinity."""
 
@@ -129,7 +130,8 @@ def course(
     """
     state = guess_a + 0.0 * voltage_v
     low, high = 0.0 * state - math.inf, 0.0 * state + math.inf
-    last, slope = high, high
+    last = high
+    slope = high
     balance = white_box.balances(state)[State.CURRENT]
     for _ in range(NEWTON_LIMIT):
         signals = balance.signals((state,), speed_rad_s)
@@ -139,7 +141,8 @@ def course(
         is_bracketed = high - low < math.inf
         middle = 0.5 * (ops.where(is_bracketed, low, 0.0) + ops.where(is_bracketed, high, 0.0))
         newton = state + gap / slope
-        move, near = abs(newton - state), 1e-9 * (abs(newton) + abs(voltage_v) / slope) + 1e-300
+        move = abs(newton - state)
+        near = 1e-9 * (abs(newton) + abs(voltage_v) / slope) + 1e-300
         good = (move <= near) | ((newton >= low) & (newton <= high) & (move <= 0.5 * last))
         trial = ops.where(good, newton, ops.where(is_bracketed, middle, newton))
         last, state = abs(trial - state), trial
@@ -229,7 +232,8 @@ def _integrate(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps:
     """Current at the end of an interval cut into so many steps."""
     balance = white_box.balances(begin.state)[State.CURRENT]
     distance = begin.state - way.steady_a
-    log_ratio, time_s = 0.0 * distance, 0.0 * distance
+    log_ratio = 0.0 * distance
+    time_s = 0.0 * distance
     for k in range(steps):
         end_s = ops.expm1(begin.length * ((k + 1) / steps)) / begin.fastest
         h, time_s = end_s - time_s, end_s

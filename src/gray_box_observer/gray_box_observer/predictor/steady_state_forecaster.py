@@ -35,7 +35,8 @@ class RelaxingForecaster:
 
     def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
         """Let the current relax over the interval, in one step however long it is."""
-        axis, ops = self._axis, self._axis.ops
+        axis = self._axis
+        ops = self._axis.ops
         current, memory = self._origin(request)
         start = ops.where(request.usable, current, 0.0)
         interval_s = ops.where(request.usable, axis.to_operand(request.interval_s), 0.0)
@@ -58,8 +59,10 @@ class RelaxingForecaster:
             Shape (motor, instant), in N m; NaN where the request cannot be answered.
         """
         current, memory = self._origin(request)
-        motors, count = memory.hidden.shape[0], instants_s.size
-        usable, way = np.reshape(request.usable, (motors, 1)), request.way
+        motors = memory.hidden.shape[0]
+        count = instants_s.size
+        usable = np.reshape(request.usable, (motors, 1))
+        way = request.way
         if not self._axis.single:
             theta = [column[:, None] for column in way.theta]
             way = Course(theta, *(signal[:, None] for signal in way.signals))
@@ -91,7 +94,8 @@ class RelaxingForecaster:
         present: Mask | None = None,
     ) -> None:
         """Go on from the forecast; from the measured torque where a history begins."""
-        axis, begins = self._axis, anew | ~np.isfinite(torque_nm)
+        axis = self._axis
+        begins = anew | ~np.isfinite(torque_nm)
         before = self._memory, self._current
         self._memory = self._memory if memory is None else memory
         if begins.any():

@@ -34,7 +34,8 @@ def missing_field(kind: Any, steps: Sequence[Step]) -> str:
         kind: message class.
         steps: names of fields, indices, and names of entries.
     """
-    path, field_type = kind.__name__, kind
+    path = kind.__name__
+    field_type = kind
     has_names = False
     for step in steps:
         array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None

@@ -39,7 +39,11 @@ LATEST_NS = 1 << 62
 INDEFINITE = 1e-6
 """Negative eigenvalue of a correlation that rounding explains."""
 
-FLOAT, SINGLE, WHOLE, FLAG, WORD = 'float64', 'float32', 'int64', 'bool', 'uint64'
+FLOAT = 'float64'
+SINGLE = 'float32'
+WHOLE = 'int64'
+FLAG = 'bool'
+WORD = 'uint64'
 
 
 @dataclass(frozen=True)

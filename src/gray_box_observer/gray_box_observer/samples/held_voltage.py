@@ -125,7 +125,8 @@ class HeldVoltage:
         """
         pause = loss = None
         if self.newest_ns is not None:
-            rhythm, interval_s = self._rhythm, seconds(stamp_ns - self.newest_ns)
+            rhythm = self._rhythm
+            interval_s = seconds(stamp_ns - self.newest_ns)
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
@@ -163,7 +164,9 @@ class HeldVoltage:
 
         NaN where samples of a voltage were lost that has moved far meanwhile.
         """
-        held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
+        held_v = self._held_v
+        cursor_ns = start_ns
+        integral_vns = 0.0
         for since_ns, voltage_v, _, loss in self._future_voltages:
             if loss is not None and since_ns > start_ns:
                 is_lost = loss.is_far & (loss.since_ns < end_ns)
@@ -189,7 +192,8 @@ class HeldVoltage:
         if not self._pauses and (newest_ns is None or newest_ns >= end_ns):
             return None
         torque_silent = torque.silent(seconds(end_ns - start_ns))
-        since_ns, until_ns = self._held_ns, None
+        since_ns = self._held_ns
+        until_ns = None
         for voltage_ns, _, pause, _ in self._future_voltages:
             if pause is not None and since_ns is not None and voltage_ns > start_ns:
                 overdue = seconds(min(voltage_ns, end_ns) - since_ns) > pause.limit_s

@@ -29,9 +29,11 @@ def quantile(values: Array, share: float) -> Array:
     """
     last = values.shape[-1] - 1
     lower = int(share * last)
-    upper, weight = min(lower + 1, last), share * last - lower
+    upper = min(lower + 1, last)
+    weight = share * last - lower
     in_order = np.partition(values, (lower, upper, last), axis=-1)
-    below, above = in_order[..., lower], in_order[..., upper]
+    below = in_order[..., lower]
+    above = in_order[..., upper]
     between: Array = (
         below + (above - below) * weight
         if weight < 0.5

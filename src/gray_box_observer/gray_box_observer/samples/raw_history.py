@@ -198,7 +198,8 @@ class RawHistory:
     """
 
     def __init__(self, motors: int = 1) -> None:
-        voltages, torques = VOLTAGES + SLACK, TORQUES + SLACK
+        voltages = VOLTAGES + SLACK
+        torques = TORQUES + SLACK
         single = motors == 1
         self._voltages: _Numbers | _Arrays = (
             _Numbers(1, voltages) if single else _Arrays(1, voltages, motors)
@@ -252,10 +253,8 @@ class RawHistory:
         history.restarts = self.restarts
         if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):
             raise GrayBoxError('a single motor has signals of its own, expected .signals')
-        history._voltages, history._torques = (
-            self._voltages.select_motor(motor),
-            self._torques.select_motor(motor),
-        )
+        history._voltages = self._voltages.select_motor(motor)
+        history._torques = self._torques.select_motor(motor)
         return history
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:

@@ -105,7 +105,8 @@ class ReplayBuffer:
         if self._speed_measured:
             row[SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
         if sample.present is not None:
-            self._present[self._staged_count], self._gaps = sample.present, True
+            self._present[self._staged_count] = sample.present
+            self._gaps = True
         self._staged_count += 1
         self.total += 1
         if self._staged_count == self._present.shape[0]:
@@ -125,16 +126,15 @@ class ReplayBuffer:
 
     def _scatter(self, count: int) -> None:
         """Put what is staged behind what those motors have that were there."""
-        staged_rows, present = (
-            self._rows[self._top : self._top + count].copy(),
-            self._present[:count],
-        )
+        staged_rows = self._rows[self._top : self._top + count].copy()
+        present = self._present[:count]
         columns = self._end + np.cumsum(present, axis=0) - 1
         row, motor = np.nonzero(present)
         self._data[:, motor, columns[row, motor]] = staged_rows[row, :, motor].T
         self._end += np.sum(present, axis=0)
         self._find_top()
-        self._present[:count], self._gaps = True, False
+        self._present[:count] = True
+        self._gaps = False
 
     def _find_top(self) -> None:
         self._top = int(self._end.max())
@@ -287,11 +287,9 @@ class ReplayBuffer:
         self._data[:, motors, :keep] = content[:, :, cut:]
         if not self._speed_measured:
             self._data[SPEED, motors, :keep] = 0.0
-        self._end[motors], self._gone_count[motors], self._begin[motors] = (
-            keep,
-            dropped_count + cut,
-            begin,
-        )
+        self._end[motors] = keep
+        self._gone_count[motors] = dropped_count + cut
+        self._begin[motors] = begin
         self._find_top()
         self._make_room()
 

@@ -51,7 +51,8 @@ def stamp_rounding(interval_s: Array) -> StampRounding | None:
     """
     if interval_s.size < FEWEST - 1 or not np.isfinite(interval_s).all():
         return None
-    shortest, longest = float(interval_s.min()), float(interval_s.max())
+    shortest = float(interval_s.min())
+    longest = float(interval_s.max())
     step = longest - shortest
     if not (step >= COARSE * shortest and shortest >= FINE * step):
         return None

@@ -219,7 +219,8 @@ class MotorConfiguration:
         What is stated is relative to the value itself; of a start at zero, to the largest value.
         """
         relative_std = float(self.values[f'initial_relative_std.{name}'])
-        value, part = float(self.values[f'initial.{name}']), self._known_parts([name])[name]
+        value = float(self.values[f'initial.{name}'])
+        part = self._known_parts([name])[name]
         if value and relative_std:
             return max(relative_std * abs(value) / (value - part), SMALLEST_RELATIVE_STD)
         return relative_std or OFFSET_STD
@@ -330,7 +331,8 @@ def check_joints(motors: Mapping[str, MotorConfiguration]) -> None:
 
 def _check_rotor(motor: MotorConfiguration) -> None:
     """Refuse a rotor without what it needs, and what is of a rotor where there is none."""
-    name, values = motor.name, motor.values
+    name = motor.name
+    values = motor.values
     has_inertia = 'inertia' in values['context_nodes']
     if motor.has_rotor and not has_inertia:
         raise ConfigurationError(
@@ -363,7 +365,8 @@ def _check_starts(motor: MotorConfiguration) -> None:
     """
     nodes = [name for name, term in TERMS.items() if term.has_either_sign]
     for node, start in zip(nodes, motor.initial_of(nodes), strict=True):
-        term, value = TERMS[node], motor.values[f'initial.{node}']
+        term = TERMS[node]
+        value = motor.values[f'initial.{node}']
         largest = -term.known_part_of(float(motor.values['torque_constant']))
         if not 0.0 < start < 2.0 * largest:
             raise ConfigurationError(
@@ -379,7 +382,8 @@ def _is_mechanical(name: str) -> bool:
 
 def _check_mechanics(motor: MotorConfiguration) -> None:
     """Refuse a measured rotor without what it needs."""
-    name, values = motor.name, motor.values
+    name = motor.name
+    values = motor.values
     nodes = values['context_nodes']
     if 'inertia' not in nodes:
         raise ConfigurationError(

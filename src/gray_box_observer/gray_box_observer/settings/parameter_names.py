@@ -30,7 +30,8 @@ def slip_of(name: str, valid_names: Iterable[str]) -> str:
         The name that is most alike; empty where there is none.
     """
     parts = name.split('.')
-    best_name, alike = '', ALIKE
+    best_name = ''
+    alike = ALIKE
     for candidate in valid_names:
         candidate_parts = candidate.split('.')
         differing_parts = [
@@ -39,7 +40,8 @@ def slip_of(name: str, valid_names: Iterable[str]) -> str:
         if len(parts) == len(candidate_parts) and len(differing_parts) == 1:
             ratio = SequenceMatcher(None, *differing_parts[0]).ratio()
             if ratio >= alike and (not best_name or ratio > alike):
-                best_name, alike = candidate, ratio
+                best_name = candidate
+                alike = ratio
     return best_name
 
 

@@ -322,7 +322,8 @@ def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
                 f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless '
                 'among context_nodes.'
             )
-            name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
+            name = KNOWN_PARAMETERS[parameter.name]
+            upper = term.known_upper or parameter.upper
             lower = -upper if term.has_either_sign else 0.0
             yield ParameterSpec(name, term.known_value, description, lower, upper)
 

@@ -176,7 +176,8 @@ class WatchedState:
         """
         if len(labels) != 3 or labels[2] != 'value,std':
             return False
-        motors, parameters = labels[0].split(','), labels[1].split(',')
+        motors = labels[0].split(',')
+        parameters = labels[1].split(',')
         if len(motors) * len(parameters) * 2 != len(numbers):
             return False
         table = np.asarray(numbers, dtype=float).reshape(len(motors), len(parameters), 2)
@@ -216,7 +217,8 @@ class WatchedState:
         if self.is_recorded:
             level, advice = _as_recorded(entry, level, advice, now_s)
         entry.level = LEVELS[level] if 0 <= level < len(LEVELS) else LEVELS[-1]
-        entry.advice, entry.facts = advice, facts
+        entry.advice = advice
+        entry.facts = facts
         for key, verdict in facts.items():
             name, _, kind = key.rpartition(' ')
             if kind == 'verdict' and name in TERMS:
@@ -247,7 +249,8 @@ def _new_parameter(name: str) -> ParameterState:
 def _as_recorded(motor: MotorState, level: int, advice: str, now_s: float) -> tuple[int, str]:
     """Return level and line of recorded diagnostics, without what helped at that moment alone."""
     if level != STALE:
-        motor.last_word, motor.quiet_s = (level, advice), None
+        motor.last_word = (level, advice)
+        motor.quiet_s = None
         return level, advice
     what = advice.partition(':')[0]
     if motor.quiet_s is None:

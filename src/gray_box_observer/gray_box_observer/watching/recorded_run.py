@@ -250,7 +250,8 @@ class _Teller:
         view = self._observer.motors.get(motor)
         if view is None:  # it has stopped, or is not learnt yet
             return
-        estimate, state = view.estimate, self._screen.state
+        estimate = view.estimate
+        state = self._screen.state
         numbers = np.stack([estimate.value[0], estimate.std[0]], axis=-1)
         numbers[~np.isfinite(numbers).all(axis=-1)] = 0.0, NO_STD
         labels = (motor, ','.join(p.name for p in estimate.parameters), 'value,std')
@@ -266,7 +267,8 @@ class _Teller:
         state.add_status(self._name, motor, LEVELS.index(level), advice, facts, now_s)
 
     def _facts(self, motor: str, now_s: float) -> dict[str, str]:
-        view, counts = self._observer.motors[motor], self._observer.counts(motor)
+        view = self._observer.motors[motor]
+        counts = self._observer.counts(motor)
         rejections = ', '.join(f'{reason.value}: {n}' for reason, n in counts.rejected.items() if n)
         facts = {
             'samples used': str(counts.used_count),

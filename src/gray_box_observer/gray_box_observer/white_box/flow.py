@@ -37,7 +37,8 @@ STIFF = MAX_STEPS + 1
 
 def to_coordinates(theta: Array) -> Array:
     """Turn parameters, shape (motor, parameter), into the coordinates of the rate."""
-    storage, coordinates = theta[:, :1], np.empty_like(theta)
+    storage = theta[:, :1]
+    coordinates = np.empty_like(theta)
     np.divide(1.0, storage, out=coordinates[:, :1])
     np.divide(theta[:, 1:], storage, out=coordinates[:, 1:])
     return coordinates
@@ -102,7 +103,8 @@ class Interval:
 
     def parts(self, count: int) -> Iterator[Interval]:
         """Cut into equal parts in order; the last ends exactly where the whole does."""
-        slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
+        slope = (self.end_speed_rad_s - self.speed_rad_s) / count
+        length = self.length_s / count
         for j in range(count):
             end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
             yield Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
@@ -195,10 +197,8 @@ def flow(
         selection = ops.flatnonzero(steps == count)
         own = interval.select(selection)
         rate_of = _rate_at(ops, white_box.of_motors(selection), p[selection], own.voltage_v)
-        begin, rate = (
-            [state[selection] for state in start],
-            here.mapped(lambda entry, selection=selection: entry[..., selection, :]),
-        )
+        begin = [state[selection] for state in start]
+        rate = here.mapped(lambda entry, selection=selection: entry[..., selection, :])
         group_motion = _in_steps(ops, rate_of, begin, rate, own, int(count))
         for entry, part in zip(whole.entries, group_motion.entries, strict=True):
             entry[..., selection, :] = part
@@ -269,12 +269,15 @@ def runge_kutta_step(
     How the end answers a push of the rate of a stage follows from how it answers one of the next
     stage (the discrete adjoint). Every derivative of the end is then one sum over the stages.
     """
-    step_s, end_speed = interval.length_s, interval.end_speed_rad_s
-    half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + end_speed)
+    step_s = interval.length_s
+    end_speed = interval.end_speed_rad_s
+    half = 0.5 * step_s
+    middle = 0.5 * (interval.speed_rad_s + end_speed)
     second = rate_at(_ahead(start, here, half), middle)
     third = rate_at(_ahead(start, second, half), middle)
     fourth = rate_at(_ahead(start, third, step_s), end_speed)
-    sixth, states = step_s / 6.0, range(len(start))
+    sixth = step_s / 6.0
+    states = range(len(start))
     twice = 2.0 * sixth
     last = [[sixth if s == by else None for by in states] for s in states]
     behind_third = _answers(last, fourth, twice, step_s)
@@ -374,14 +377,15 @@ def rate(
         voltage_v: voltage.
         speed_rad_s: measured speed.
     """
-    value, by_state, by_coordinate = [], [], []
+    value = []
+    by_state = []
+    by_coordinate = []
     for balance in white_box.balances(states[0]):
         signals = balance.signals(states, speed_rad_s)
-        inverse_storage, others = (
-            coefficients[balance.storage],
-            [coefficients[place] for place in balance.places],
-        )
-        drive, basis = balance.drive(voltage_v, signals), balance.basis(signals)
+        inverse_storage = coefficients[balance.storage]
+        others = [coefficients[place] for place in balance.places]
+        drive = balance.drive(voltage_v, signals)
+        basis = balance.basis(signals)
         value.append(deducted(inverse_storage * drive, others, basis))
         slopes = [
             deducted(

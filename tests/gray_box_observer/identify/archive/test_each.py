@@ -62,7 +62,8 @@ def test_bags_are_one_recording_unless_each_is_asked_for(
 def test_the_table_has_a_row_a_bag_motor_and_parameter_and_says_why_one_gave_nothing(
     identify: Run, archive: Path, params: Path, tmp_path: Path
 ) -> None:
-    table, told = tmp_path / 'new' / 't.parquet', tmp_path / 't.json'
+    table = tmp_path / 'new' / 't.parquet'
+    told = tmp_path / 't.json'
     given = (archive, '--params', params, '--skip-predictor', '--table', table, '--json', told)
     code, out, said = identify(*given)
     assert code == 3

@@ -74,7 +74,8 @@ def test_the_loss_of_every_variant_falls(
     samples = samples_of(
         record('R[5,15]D[0.05,0.3]', 8.0)
     )  # always on the move: what stands still teaches little
-    trainer, job = WindowTrainer(configuration(thesis_box, rules)), job_of(samples)
+    trainer = WindowTrainer(configuration(thesis_box, rules))
+    job = job_of(samples)
     losses = [trainer.train(job)['loss'] for _ in range(10)]
     assert np.all(np.isfinite(losses))
     assert np.mean(losses[-3:]) < 0.85 * np.mean(losses[:2])
@@ -96,7 +97,8 @@ def test_the_physical_losses_are_near_zero_on_the_true_trajectory_only(
         thesis_box.to_dict(), lambda v: torch.as_tensor(v, dtype=torch.float64)
     )
     windows = windows_along(samples)
-    true, span = windows.torque_nm, float(windows.torque_nm.max() - windows.torque_nm.min())
+    true = windows.torque_nm
+    span = float(windows.torque_nm.max() - windows.torque_nm.min())
     wrong = true + 0.05 * span * torch.sin(torch.arange(true.shape[1]) * 0.2)
     for variant in (Variant.MAIN, Variant.SEES_DATA):
         zero, off = (
@@ -229,8 +231,10 @@ def run(one: Forecasting, samples: list[Sample]) -> list[float]:
 
 @pytest.mark.slow
 def test_predicting_changes_nothing(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
-    asked, silent = predictor(thesis_box), predictor(thesis_box)
-    expected, said = run(silent, samples[:300]), []
+    asked = predictor(thesis_box)
+    silent = predictor(thesis_box)
+    expected = run(silent, samples[:300])
+    said = []
     for s in samples[:300]:
         for voltage in (-5.0, 40.0):
             asked.predict(s.interval_s, np.array([voltage]), 2.0 * TRUTH)
@@ -277,7 +281,8 @@ def test_the_rollout_of_the_white_box_is_the_truth_when_the_parameters_are(
 def test_a_saved_network_goes_on_forecasting(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
-    one, other = predictor(thesis_box), predictor(thesis_box)
+    one = predictor(thesis_box)
+    other = predictor(thesis_box)
     run(one, samples[:420])
     other.restore(one.state())
     run(one, samples[:20])
@@ -308,7 +313,8 @@ def test_it_teaches_on_the_device_of_its_rules_with_the_physics_there_too(
     samples: list[Sample],
     taught_on: list[str],
 ) -> None:
-    brought, as_tensor = [], torch.as_tensor
+    brought = []
+    as_tensor = torch.as_tensor
 
     def bring(*given: Any, **named: Any) -> torch.Tensor:
         brought.append(str(named.get('device')))

@@ -77,7 +77,8 @@ def drawn(seed: int = 0, count: int = 40, length: int = 12) -> Any:
 
 
 def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> None:
-    weights, sequences = Weights.initial(5, 4, 1), drawn()
+    weights = Weights.initial(5, 4, 1)
+    sequences = drawn()
     taught = training_batch(weights, sequences)
     predicted, _ = free_run(weights, sequences)
     starts = np.concatenate([sequences.start_a[:, None], predicted[:, :-1]], axis=1)
@@ -128,8 +129,10 @@ def test_lessons_join_sequence_by_sequence() -> None:
 
 
 def test_teaching_lowers_the_error_on_motors_that_never_taught() -> None:
-    random, held_out = np.random.default_rng(3), drawn(99, 200, 16)
-    exact, weights = exact_run(held_out), fresh(6, 0)
+    random = np.random.default_rng(3)
+    held_out = drawn(99, 200, 16)
+    exact = exact_run(held_out)
+    weights = fresh(6, 0)
     trainable = TrainableNetwork(weights, 0.02, 1.0)
     for _ in range(60):
         trainable.learn(training_batch(trainable.weights, draw_family(random, 48, 16)))
@@ -143,7 +146,8 @@ def test_a_trainer_lets_only_better_networks_run(
 ) -> None:
     # How many are adopted hangs on the last bits of the arithmetic, which differ from processor to
     # processor.
-    trainer, job = PhysicsTrainer(configuration(thesis_box)), job_of(samples, HARD)
+    trainer = PhysicsTrainer(configuration(thesis_box))
+    job = job_of(samples, HARD)
     results = [trainer.train(job) for _ in range(8)]
     adopted = [k for k, result in enumerate(results) if 'input' in result]
     errors = [result['error'] for result in results]
@@ -177,7 +181,8 @@ def test_training_that_improves_nothing_ends(
     thesis_box: MotorWhiteBox, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rules = replace(FRESH, patience=3, steps=1, learning_rate=1e-7)
-    trainer, job = PhysicsTrainer(configuration(thesis_box, rules)), job_of(samples, HARD)
+    trainer = PhysicsTrainer(configuration(thesis_box, rules))
+    job = job_of(samples, HARD)
     results = [trainer.train(job) for _ in range(3)]
     assert [r['settled'] for r in results] == [False, False, True]
     assert not any('input' in r for r in results)
@@ -186,7 +191,8 @@ def test_training_that_improves_nothing_ends(
 def test_a_network_that_is_worse_on_what_was_measured_does_not_run(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
-    trainer, job = PhysicsTrainer(configuration(thesis_box)), job_of(samples, HARD)
+    trainer = PhysicsTrainer(configuration(thesis_box))
+    job = job_of(samples, HARD)
     found = newest_history(thesis_box, job)
     assert found is not None
     running = trainer._current_network
@@ -207,7 +213,8 @@ def test_a_network_that_has_forgotten_other_motors_does_not_run(
         def error(self, weights: Weights) -> float:
             return 0.0
 
-    family, job = drawn(7, 300, 16), job_of(samples, HARD)
+    family = drawn(7, 300, 16)
+    job = job_of(samples, HARD)
     exact = exact_run(family)
     assert free_run_error(load(SHIPPED), family, exact) < 0.5 * free_run_error(
         fresh(12, 0), family, exact
@@ -223,10 +230,8 @@ def test_half_of_what_is_taught_is_of_all_the_family(
     trainer: Any = PhysicsTrainer(configuration(thesis_box))
     trainer._trainable = trainer._start_training()
     taught = trainer._training_batch(job_of(samples, HARD), HARD)
-    own, other = (
-        taught.intervals.duration[: FRESH.minibatch],
-        taught.intervals.duration[FRESH.minibatch :],
-    )
+    own = taught.intervals.duration[: FRESH.minibatch]
+    other = taught.intervals.duration[FRESH.minibatch :]
     assert len(own) == len(other)
     assert own.min() > 0.05
     assert np.quantile(other, 0.2) < 0.05
@@ -277,7 +282,8 @@ def test_recent_samples_begin_behind_the_last_restart(
         assert found is None
         return
     assert found is not None
-    sequences, current = found.sequences, found.current_a
+    sequences = found.sequences
+    current = found.current_a
     assert sequences.voltage_v.shape == current.shape == (1, 600 - restarts[-1] - 1)
     assert np.all(sequences.interval_s > 0.0)
     assert sequences.start_a[0] == pytest.approx(job['torque_nm'][0, restarts[-1]] / 0.01)
@@ -404,7 +410,8 @@ def test_it_teaches_on_the_device_of_its_rules_and_so_does_whoever_goes_on(
     told = configuration(
         thesis_box, replace(FRESH, device='cpu:0')
     )  # the processor by another name
-    one, other = PhysicsTrainer(told), PhysicsTrainer(told)
+    one = PhysicsTrainer(told)
+    other = PhysicsTrainer(told)
     result = one.train(job_of(samples, HARD))
     assert taught_on == ['cpu:0']
     start = {f'start_{name}': array for name, array in fresh(FRESH.hidden, 5).arrays().items()}

@@ -39,20 +39,16 @@ class Run:
     """A schedule beside its newest samples; the physics' value is the negative torque."""
 
     def __init__(self, rules: TrainingSettings = RULES) -> None:
-        self.replay, self.schedule = (
-            ReplayBuffer(1, rules.replay_capacity),
-            ResidualSchedule(1, rules),
-        )
+        self.replay = ReplayBuffer(1, rules.replay_capacity)
+        self.schedule = ResidualSchedule(1, rules)
         self.schedule.has_moved(TRUTH, SHARP)
 
     def on(self, count: int, voltage_v: float = 5.0, restart: bool = False) -> Run:
         """Go on with samples whose torque tells their number."""
         for k in range(count):
             number = self.replay.total
-            interval_s, torque_nm = (
-                0.0 if number == 0 or (restart and k == 0) else 0.01,
-                told_by(number, voltage_v),
-            )
+            interval_s = 0.0 if number == 0 or (restart and k == 0) else 0.01
+            torque_nm = told_by(number, voltage_v)
             self.replay.append(Sample.of_one_motor(number, interval_s, voltage_v, torque_nm, 0.5))
             self.schedule.follow(
                 self.replay, np.array([np.nan if interval_s == 0.0 else -torque_nm])
@@ -98,7 +94,9 @@ def test_a_segment_begins_where_the_physics_had_come_to_and_a_real_beginning_whe
 
 
 def test_no_sample_ever_both_teaches_and_judges() -> None:
-    run, taught, judged = Run(), set(), set()
+    run = Run()
+    taught = set()
+    judged = set()
     for k in range(14):
         number = run.on(777, float(k % 5)).job()['number']
         judged |= set(number[judging(number)].tolist())
@@ -131,7 +129,8 @@ def test_without_a_store_or_newest_samples_to_fill_it_these_are_all_that_is_lear
 
 
 def test_saved_and_restored_it_goes_on_bit_for_bit() -> None:
-    one, other = Run().on(5000, 9.0).on(1234, 3.0), Run()
+    one = Run().on(5000, 9.0).on(1234, 3.0)
+    other = Run()
     other.replay.refill(one.replay.content())
     other.replay.total = one.replay.total
     other.schedule.restore({name: array.copy() for name, array in one.schedule.state().items()})

@@ -18,10 +18,8 @@ def segment(first: int, voltage_v: float, motors: int = 1, spread_v: float = 0.0
     """A motor whose torque is a hundredth of a voltage that hardly moves."""
     random = np.random.default_rng(first)
     signals = np.zeros((4, motors, SEGMENT))
-    signals[0], signals[1] = (
-        0.01,
-        voltage_v + spread_v * random.uniform(-1.0, 1.0, (motors, SEGMENT)),
-    )
+    signals[0] = 0.01
+    signals[1] = voltage_v + spread_v * random.uniform(-1.0, 1.0, (motors, SEGMENT))
     signals[2] = 0.01 * signals[1]
     return Segment(first, signals, np.full(motors, np.nan))
 
@@ -95,7 +93,8 @@ def test_a_store_without_room_keeps_nothing_and_a_signal_that_is_not_finite_is_n
 
 
 def test_arrays_give_the_same_store_back() -> None:
-    store, other = SegmentStore(3), SegmentStore(3)
+    store = SegmentStore(3)
+    other = SegmentStore(3)
     other.restore(store.state())
     assert other.segments == []
     filled(store, 10.0, 5.0, 2.0, 2.0)

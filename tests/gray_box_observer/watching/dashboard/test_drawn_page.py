@@ -176,7 +176,8 @@ def tell(source: PageSource, second: int) -> None:
 
 def shows_second(shown: dict[str, Any], second: int) -> bool:
     """Whether every plot has been drawn up to this second."""
-    samples, estimates = (second + 1) * SAMPLES, second + 1
+    samples = (second + 1) * SAMPLES
+    estimates = second + 1
     return all(set(plot['points']) == {samples} for plot in shown['signals'].values()) and all(
         set(plot['points']) == {estimates} for plot in shown['courses']
     )

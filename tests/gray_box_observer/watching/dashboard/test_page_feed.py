@@ -92,7 +92,8 @@ def test_a_name_stands_in_a_plot_as_it_is_written(source: PageSource, name: str)
     assert told['name'] == name
     assert html.unescape(told['label']) == name
     assert not set('<>') & set(told['label'])
-    long, line_feed = 'n' * 10_000, 'two\nlines'
+    long = 'n' * 10_000
+    line_feed = 'two\nlines'
     source.state.add_estimates('/o', ('motor', f'{long},{line_feed}', 'value,std'), [1.0] * 4, 0.0)
     labels = [p['label'] for p in PageFeed(source).update()['motor']['parameters'][1:]]
     assert len(labels[0]) < 100 and '\n' not in labels[1]

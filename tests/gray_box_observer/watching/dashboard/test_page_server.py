@@ -92,7 +92,8 @@ def test_updates_come_one_after_another_and_carry_names_as_they_are(
         source.state.add_status('/o', evil, 1, evil, {}, 0.0)
     answer = ask(server, '/events?observer=/o')
     assert answer.headers['Content-Type'] == 'text/event-stream'
-    first, second = next_event(answer), next_event(answer)
+    first = next_event(answer)
+    second = next_event(answer)
     assert first['begins'] is True and 'begins' not in second
     assert first['motor']['name'] == first['motor']['advice'] == evil
 
@@ -172,7 +173,8 @@ def test_plotly_is_read_once_and_sent_once_to_who_keeps_it(
     reads: list[Path] = []
     read_bytes = Path.read_bytes
     monkeypatch.setattr(Path, 'read_bytes', lambda path: reads.append(path) or read_bytes(path))
-    first, second = ask(server, '/plotly.js'), ask(server, '/plotly.js', 'HEAD')
+    first = ask(server, '/plotly.js')
+    second = ask(server, '/plotly.js', 'HEAD')
     assert [path.name for path in reads] == ['plotly.min.js']
     assert first.headers['Etag'] == second.headers['Etag']
     assert len(first.read()) == int(second.headers['Content-Length'])

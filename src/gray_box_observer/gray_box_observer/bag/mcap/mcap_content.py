@@ -175,9 +175,12 @@ def survey_messages(records: bytes, channel_numbers: Container[int]) -> Survey:
         records: What `read_records` returned.
         channel_numbers: Numbers of the channels whose messages count.
     """
-    survey, unpack = Survey(), MESSAGE_HEAD.unpack_from
+    survey = Survey()
+    unpack = MESSAGE_HEAD.unpack_from
     counts: dict[int, int] = {}
-    at, end, start_ns = 0, len(records), _NEVER_NS
+    at = 0
+    end = len(records)
+    start_ns = _NEVER_NS
     last_head = end - MESSAGE_HEAD.size
     while at <= last_head:
         opcode, length, number, _, log_ns, _ = unpack(records, at)
@@ -215,8 +218,12 @@ def parse_messages(
         messages whose channel nobody declared.
     """
     messages: list[RawMessage] = []
-    append, unpack, make = messages.append, MESSAGE_HEAD.unpack_from, tuple.__new__
-    at, end, orphans = 0, len(records), 0
+    append = messages.append
+    unpack = MESSAGE_HEAD.unpack_from
+    make = tuple.__new__
+    at = 0
+    end = len(records)
+    orphans = 0
     last_head = end - MESSAGE_HEAD.size
     origins = {
         number: (channel.topic, channel.type_name, channel.schema_text)

@@ -88,7 +88,8 @@ def read_end(stream: BinaryIO, size: int) -> End | None:
 def _checksum(stream: BinaryIO, start: int, footer_at: int) -> int:
     """The checksum from the summary's start to before the footer's own checksum."""
     stream.seek(start)
-    remaining_bytes, value = footer_at + HEAD.size + 16 - start, 0
+    remaining_bytes = footer_at + HEAD.size + 16 - start
+    value = 0
     while remaining_bytes and (part := stream.read(min(remaining_bytes, _STEP_BYTES))):
         value = zlib.crc32(part, value)
         remaining_bytes -= len(part)
@@ -97,7 +98,8 @@ def _checksum(stream: BinaryIO, start: int, footer_at: int) -> int:
 
 def _read_summary(stream: BinaryIO, start: int, footer_at: int, end: End) -> bool:
     """Fill in what the summary says; False if it is none."""
-    definitions, at = Definitions(), start
+    definitions = Definitions()
+    at = start
     while at < footer_at:
         stream.seek(at)
         head = stream.read(HEAD.size)
@@ -124,5 +126,6 @@ def _read_summary(stream: BinaryIO, start: int, footer_at: int, end: End) -> boo
             if length > _LARGEST_STATISTICS_BYTES:
                 return False
             end.statistics = parse_statistics(stream.read(length))
-    end.channels, end.is_sound = definitions.channels, True
+    end.channels = definitions.channels
+    end.is_sound = True
     return True

@@ -88,7 +88,9 @@ class McapFile:
         self, topic: str, type_name: str, schema_text: str, metadata: dict[str, str]
     ) -> int:
         """Declare a topic; the result is the number by which `add_message` knows it."""
-        text, tail, schema_bytes = schema_text.encode(), self._tail, b''
+        text = schema_text.encode()
+        tail = self._tail
+        schema_bytes = b''
         schema = next((s for s in tail.schemas if s.name == type_name and s.data == text), None)
         if schema is None:
             schema = Schema(id=len(tail.schemas) + 1, data=text, encoding='ros2msg', name=type_name)
@@ -148,11 +150,14 @@ class McapFile:
         records = b''.join(self._chunk)
         packed_records = self._pack(records)
         times = [time for entries in self._chunk_index.values() for time, _ in entries]
-        start_ns, end_ns, name = min(times), max(times), self._compression.encode()
+        start_ns = min(times)
+        end_ns = max(times)
+        name = self._compression.encode()
         sizes = (len(records), zlib.crc32(records), len(name), name, len(packed_records))
         head = struct.pack(f'<QQQII{len(name)}sQ', start_ns, end_ns, *sizes)
         chunk = HEAD.pack(Opcode.CHUNK, len(head) + len(packed_records)) + head + packed_records
-        index_offsets, indexes = {}, bytearray()
+        index_offsets = {}
+        indexes = bytearray()
         for channel, entries in self._chunk_index.items():
             index_offsets[channel] = self.size + len(chunk) + len(indexes)
             content = b''.join(_INDEX_ENTRY.pack(*entry) for entry in entries)
@@ -191,7 +196,8 @@ class McapFile:
         except (OSError, ValueError) as error:
             self._undo()
             raise _write_error(self.path, error) from None
-        self.size, self._written_tail = data_end, tail
+        self.size = data_end
+        self._written_tail = tail
 
     def _put(self, content: bytes) -> None:
         self._stream.seek(self.size)

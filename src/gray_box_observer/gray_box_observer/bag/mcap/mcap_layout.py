@@ -136,7 +136,8 @@ class _Scanner:
         return () if self._layout.end is None else self._layout.end.chunks
 
     def run(self) -> Layout:
-        layout, at = self._layout, len(MAGIC)
+        layout = self._layout
+        at = len(MAGIC)
         while at < self._stop:
             at = self._step(at)
         self._end_run()

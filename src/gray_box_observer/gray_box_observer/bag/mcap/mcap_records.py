@@ -12,17 +12,15 @@ from gray_box_observer.bag.limits import (
 )
 
 MAGIC = b'\x89MCAP0\r\n'
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, METADATA, DATA_END = (
-    2,
-    3,
-    4,
-    5,
-    6,
-    8,
-    11,
-    12,
-    15,
-)
+FOOTER = 2
+SCHEMA = 3
+CHANNEL = 4
+MESSAGE = 5
+CHUNK = 6
+CHUNK_INDEX = 8
+STATISTICS = 11
+METADATA = 12
+DATA_END = 15
 LAST_KNOWN, FIRST_PRIVATE = 15, 128
 OF_SUMMARY = (SCHEMA, CHANNEL, CHUNK_INDEX, 10, STATISTICS, 13, 14)
 """What may stand in a summary; 10, 13 and 14 are the indexes of attachments and metadata, and

@@ -103,7 +103,8 @@ class McapTail:
         """
         end = self._about + bytes_of(DataEnd(data_section_crc=0))
         start = data_end + len(end)
-        out, offsets = bytearray(), bytearray()
+        out = bytearray()
+        offsets = bytearray()
         for opcode, content in self._groups(data_end):
             if content:
                 offsets += bytes_of(SummaryOffset(opcode, start + len(out), len(content)))

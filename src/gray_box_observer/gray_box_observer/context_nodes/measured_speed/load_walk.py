@@ -29,7 +29,8 @@ def walk_of_load(fit: Fit, window: Window) -> float:
     """
     output = window.speed_output
     assert output is not None
-    variation, time_s = 0.0, 0.0
+    variation = 0.0
+    time_s = 0.0
     steps = np.diff(np.eye(output.knots), axis=0)
     for history, start, slope in zip(window.histories, fit.starts, fit.runs.by_start, strict=True):
         prior = output.precision(np.full(STATES, OPEN), history.interval_s)

@@ -15,21 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, misfit, unsettled
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, unsettled
 from gray_box_observer.context_nodes.measured_speed.exact_speed import (
     exact_residual,
-    log_likelihood_ratio,
     whiteness,
 )
 from gray_box_observer.context_nodes.measured_speed.mechanics import (
     DEFAULT_MECHANICS,
-    WIDEST,
     Mechanics,
-    limited,
-    load_spread,
 )
-from gray_box_observer.context_nodes.measured_speed.output_fit import HOPELESS, OutputFit
+from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
 from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
+from gray_box_observer.context_nodes.measured_speed.published_mechanics import PublishedMechanics
+from gray_box_observer.context_nodes.measured_speed.speed_comparison import SpeedComparison
 from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
     remembering,
     with_motor_speed,
@@ -51,40 +49,18 @@ from gray_box_observer.safe_io.saved_state import (
     number,
     whole,
 )
-from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import (
-    INTERVAL,
     SPEED,
-    TORQUE,
-    VOLTAGE,
     ReplayBuffer,
     check_signals,
 )
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.white_box.declaration import TERMS
-from gray_box_observer.white_box.interface import Array, Parameter
+from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 COLOURED = 3.0
 """Whiteness of the recursive rule's residual from which the other rule is asked; white noise of
 1,000 samples passes 2.2 once in 10,000."""
-
-EVIDENCE = 30.0
-"""Log-likelihood by which the current must be likelier with the speed of the whole motor, beside
-what as many unknowns explain of mere noise."""
-
-LESS_LIKELY, SHARP = 0.05, 0.05
-"""Log-likelihood a sample by which the current may be less likely with the speed of the whole motor
-than with the measured one: a residual larger by so much. Beyond it the whole motor is believed only
-where its lag is known to this share of a sample interval. Else a few samples fit a lag that is not
-there, to a tenth of an interval at best; a filter of the sensor is known to a thirtieth."""
-
-LATE, LATE_STDS = 0.1, 5.0
-"""Sample intervals, and standard deviations, from which the speed is late: the recursive rule takes
-a lag for resistance, and its residual stays white."""
-
-APART = 25.0
-"""Squared distance of both rules in their standard deviations from which a lag matters."""
 
 RAREST = 32768
 """Samples, at most, after which the lag is asked for though the residual is white: first with the
@@ -99,17 +75,14 @@ MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up; one, where it was
 believed for less than FULL samples."""
 
-FORGOTTEN, LEAST_SPREAD = 0.7, 1e-3
-"""Share of what a varying load may have done that is left after a window whose load is constant,
-and the least of it that counts."""
-
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
-_CHANGED, _UNCHANGED = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
+_CHANGED = np.ones(1, dtype=bool)
+_UNCHANGED = np.zeros(1, dtype=bool)
 _PREFIX = 'outputs.'
-_SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
-_SPREAD = 'measured_speed.load_spread'
+_SAMPLES = 'measured_speed.samples'
+_SHARES = 'measured_speed.shares'
 
 
 def can_be_output(white_box: MotorWhiteBox) -> bool:
@@ -161,14 +134,13 @@ class MeasuredSpeedUpdate:
             verdict_rules,
             np.concatenate([initial_relative_std, [rotor.initial_relative_std]], axis=1),
         )
+        self.published_mechanics = PublishedMechanics(white_box, mechanics)
+        self._comparison = SpeedComparison(white_box, self._exact, self._outputs)
         self._samples = ReplayBuffer(1, 1)
         self._shares = np.zeros((2, len(white_box.context_nodes)))
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
         self._failures = 0
-        self._explained_count = 0  # samples in the largest window explained; -1: the newest was not
-        self._load_spread = np.zeros(len(rotor.nodes))
-        self._evidence = 0.0
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
         self._change_flags = np.zeros(1, dtype=bool)
@@ -217,7 +189,7 @@ class MeasuredSpeedUpdate:
         if self._is_noisy:
             counts['motor changes'] = self._outputs.counters()['motor changes']
         counts['speed is noisy or late'] = int(self._is_noisy)
-        counts['evidence for that, log-likelihood'] = int(min(self._evidence, 1e9))
+        counts['evidence for that, log-likelihood'] = int(min(self._comparison.evidence, 1e9))
         counts['lag of the speed, us'] = self._lag_us()
         return counts
 
@@ -275,26 +247,8 @@ class MeasuredSpeedUpdate:
             verdicts = tuple(tuple(map(unsettled, own)) for own in verdicts)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
-    @property
-    def published_parameters(self) -> tuple[Parameter, ...]:
-        """Return what :meth:`with_mechanics` publishes."""
-        rotor = () if self._mechanics is None else self._mechanics.nodes
-        return (*self._white_box.parameters, *(TERMS[name].parameter for name in rotor))
-
-    @property
-    def published_known_parts(self) -> Array:
-        """What is known of each of them beside its estimate, shape (published parameter,)."""
-        if self._mechanics is None:
-            return self._white_box.known_parts
-        parts = [self._mechanics.known_parts.get(name, 0.0) for name in self._mechanics.nodes]
-        return np.concatenate([self._white_box.known_parts, parts])
-
     def with_mechanics(self, estimate: Estimate, *, is_believed: bool) -> Estimate:
-        """Add the rotor's parameters to an estimate of the electrical ones.
-
-        They come from the fit of both outputs. Where that does not explain the data, or the voltage
-        balance does not, they are a misfit. The electrical ones stay as they are. Correlations
-        between both are left out: L and R are known by far the best.
+        """Add the rotor's parameters to an estimate of the electrical ones, as far as one may.
 
         Args:
             estimate: of this motor, as far as it may be believed.
@@ -302,32 +256,12 @@ class MeasuredSpeedUpdate:
         """
         if self._mechanics is None:
             return estimate
-        both = self._outputs.estimate()
-        rotor = slice(self._nodes.stop, None)
-        own = Estimate(
-            both.stamp_ns,
-            both.parameters[rotor],
-            both.value[:, rotor],
-            both.covariance[:, rotor, rotor],
-            (both.verdicts[0][rotor],),
-        )
-        is_settled = self._explained_count >= FULL
-        own = limited(own, self._load_spread, self.verdict_rules, is_settled=is_settled)
-        count = len(self.published_parameters)
-        covariance = np.zeros((1, count, count))
-        covariance[:, self._nodes, self._nodes] = estimate.covariance
-        covariance[:, rotor, rotor] = own.covariance
-        verdicts = own.verdicts[0]
-        if self._is_unexplained:
-            verdicts = tuple(map(unsettled, verdicts))
-        if not (is_believed and self._explained_count >= 0):
-            verdicts = tuple(map(misfit, verdicts))
-        return Estimate(
-            estimate.stamp_ns,
-            self.published_parameters,
-            np.concatenate([estimate.value, own.value], axis=1),
-            covariance,
-            (estimate.verdicts[0] + verdicts,),
+        return self.published_mechanics.added_to(
+            estimate,
+            self._outputs.estimate(),
+            self.verdict_rules,
+            is_believed=is_believed,
+            is_unexplained=self._is_unexplained,
         )
 
     def learn(self, sample: Sample) -> bool:
@@ -374,7 +308,8 @@ class MeasuredSpeedUpdate:
             go_on: goes on with it.
             has_changed: whether the recursive rule has changed its own.
         """
-        before, fits = (self._is_noisy, self._is_unexplained), self._outputs.counters()
+        before = (self._is_noisy, self._is_unexplained)
+        fits = self._outputs.counters()
         has_fitted = self._has_fitted(go_on)
         if self._is_noisy or before[0]:
             has_changed = has_fitted or (self._is_noisy, self._is_unexplained) != before
@@ -392,7 +327,8 @@ class MeasuredSpeedUpdate:
 
     def _has_fitted(self, go_on: Callable[[], bool | None]) -> bool:
         """Go on with the fit of both outputs; tell whether it has ended and is believed."""
-        fit_window, missed_count = self._outputs.fitting, self._outputs.windows_without_fit
+        fit_window = self._outputs.fitting
+        missed_count = self._outputs.windows_without_fit
         has_changed = go_on()
         is_missed = self._outputs.windows_without_fit > missed_count
         if fit_window is None or not (
@@ -401,34 +337,35 @@ class MeasuredSpeedUpdate:
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
-        if fit is None or not (fit.explains or self._is_nearly_late(fit)):
+        if fit is None or not (fit.explains or self._comparison.is_nearly_late(fit)):
             self._failures += 1
-            self._explained_count = -1
+            self.published_mechanics.explained_count = -1
             if fit is not None and self._is_noisy:
                 newest = samples[:, -fit.window.current_a.size :]
-                self._compare_speeds(newest, fit)
-                self._is_noisy = not self._is_contradicted(newest, fit)
+                self._comparison.compare(newest, fit, is_noisy=True)
+                self._is_noisy = not self._comparison.is_contradicted(newest, fit)
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
             self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
-            count, now = samples.shape[1], int(self._outputs.replay.received[0])
+            count = samples.shape[1]
+            now = int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
             rest = max(rest, 2 * self._failures * (now - place))
             self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
         if fit.explains:
-            self._take_mechanics(fit, samples.shape[1])
+            self.published_mechanics.note_fit(fit, samples.shape[1])
         else:
-            self._explained_count = -1
+            self.published_mechanics.explained_count = -1
             samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
-        is_late = self._is_late(fit)
+        is_late = self._comparison.is_late(fit)
         if not (self._is_noisy or fit.shows_noise or is_late):
             return False
-        self._compare_speeds(samples, fit)
-        if self._is_contradicted(samples, fit):
+        self._comparison.compare(samples, fit, is_noisy=self._is_noisy)
+        if self._comparison.is_contradicted(samples, fit):
             self._is_noisy = False
             return False
-        if not (self._is_noisy or is_late or (fit.shows_noise and self._is_clear(fit))):
+        if not (self._is_noisy or is_late or (fit.shows_noise and self._comparison.is_clear(fit))):
             return False
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
@@ -436,16 +373,6 @@ class MeasuredSpeedUpdate:
         self._samples = remembering(samples, place, self.present_since(motor=0))
         self._shares = self._measured_shares(samples, fit)
         return True
-
-    def _take_mechanics(self, fit: OutputFit, count: int) -> None:
-        """Note how many samples a fit explains, and what its load leaves of the mechanics."""
-        if self._mechanics is None:
-            return
-        is_explained = fit.explains_rotor
-        self._explained_count = max(self._explained_count, count) if is_explained else -1
-        now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
-        self._load_spread = np.maximum(now, FORGOTTEN * self._load_spread)
-        self._load_spread[self._load_spread < LEAST_SPREAD] = 0.0
 
     def _is_worth_asking(self, samples: Array) -> bool:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
@@ -462,69 +389,6 @@ class MeasuredSpeedUpdate:
         self._ask_at = place + min(place, RAREST)
         return True
 
-    def _is_late(self, fit: OutputFit) -> bool:
-        """Tell whether the speed is late, and that matters to the parameters."""
-        interval_s = _interval_s(fit)
-        lag_s, std_s = fit.lag()
-        if abs(lag_s) < max(LATE * interval_s, LATE_STDS * std_s):
-            return False
-        exact, outputs = self._exact.estimate(), self._outputs.estimate()
-        apart = exact.value[0] / outputs.value[0, self._nodes] - 1.0
-        variance = (exact.std[0] / exact.value[0]) ** 2
-        variance += (outputs.std[0] / outputs.value[0])[self._nodes] ** 2
-        return bool(np.max(apart**2 / variance) > APART)
-
-    def _is_nearly_late(self, fit: OutputFit) -> bool:
-        """Tell whether the speed is late by a fit that is not hopeless.
-
-        A filter of the sensor is nearly a lag. What the lag leaves of it colours the residual. The
-        recursive rule would take the lag for resistance, and see no fault.
-        """
-        return fit.is_within(HOPELESS) and fit.lag()[0] > 0.0 and self._is_late(fit)
-
-    def _compare_speeds(self, samples: Array, fit: OutputFit) -> None:
-        """Find how much likelier the current is with the speed of the whole motor.
-
-        The measured speed is tried at the values of either rule, and before it is doubted for the
-        first time at those that suit it best: that the recursive rule has not settled is no
-        evidence.
-        """
-        self._evidence = min(
-            self._evidence_against(theta, samples, fit)
-            for theta in (self._exact.theta[0], self._outputs.theta[0, self._nodes])
-        )
-        if not self._is_noisy and not self._is_contradicted(samples, fit):
-            theta = self._refitted(samples)
-            self._evidence = min(self._evidence, self._evidence_against(theta, samples, fit))
-
-    def _is_clear(self, fit: OutputFit) -> bool:
-        """Tell whether the current is clearly likelier with the speed of the whole motor."""
-        return self._evidence > EVIDENCE + 0.5 * fit.unknowns
-
-    def _evidence_against(self, theta: Array, samples: Array, fit: OutputFit) -> float:
-        """Return how much likelier the current is by a fit than by the measured speed."""
-        residual = exact_residual(self._white_box, theta, samples)
-        return log_likelihood_ratio(residual, fit.noise.current_a)
-
-    def _refitted(self, samples: Array) -> Array:
-        """Return the values, shape (parameter,), that suit samples best by their measured speed."""
-        rule = RecursiveEstimator(self._white_box, self._exact.theta)
-        signals = (float(samples[row, -1]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
-        learn_at_once(rule, samples[:, None], Sample.of_one_motor(0, *signals))
-        theta: Array = rule.theta[0]
-        return theta
-
-    def _is_contradicted(self, samples: Array, fit: OutputFit) -> bool:
-        """Tell whether the current is clearly less likely with the speed of the whole motor.
-
-        Where the speed is clearly late that is no contradiction: the recursive rule takes the lag
-        for resistance, and leaves as little.
-        """
-        lag_s, std_s = fit.lag()
-        interval_s = _interval_s(fit)
-        is_clearly_late = abs(lag_s) >= LATE * interval_s and std_s < SHARP * interval_s
-        return not is_clearly_late and self._evidence < -LESS_LIKELY * samples.shape[1]
-
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = self._exact.state()
@@ -533,8 +397,8 @@ class MeasuredSpeedUpdate:
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
             'failures': self._failures,
-            'explained': self._explained_count,
-            'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
+            'explained': self.published_mechanics.explained_count,
+            'evidence': float(np.clip(self._comparison.evidence, -LARGEST, LARGEST)),
             'ask_at': self._ask_at - newest_place,
             'rest_until': self._rest_until - newest_place,
             'noisy_from': self._noisy_from - newest_place,
@@ -542,8 +406,7 @@ class MeasuredSpeedUpdate:
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
-        if self._mechanics is not None:
-            arrays[_SPREAD] = self._load_spread.copy()
+        arrays |= self.published_mechanics.state()
         if self._is_noisy:
             arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
             arrays[_SHARES] = self._shares.copy()
@@ -568,11 +431,8 @@ class MeasuredSpeedUpdate:
         self._outputs.restore(dict(group(own, 'outputs')), output_arrays)
         newest_place = int(self._outputs.replay.received[0])
         self._failures = whole(own, 'failures', 0, MOST)
-        if self._mechanics is not None:
-            self._explained_count = whole(own, 'explained', -1, MOST)
-            check_arrays(arrays, {_SPREAD: ArrayRule(self._load_spread.shape, 0.0, WIDEST)})
-            self._load_spread = arrays[_SPREAD]
-        self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
+        self.published_mechanics.restore(own, arrays)
+        self._comparison.evidence = number(own, 'evidence', -LARGEST, LARGEST)
         self._ask_at = newest_place + whole(own, 'ask_at', -MOST, RAREST)
         self._rest_until = newest_place + whole(own, 'rest_until', -MOST, RAREST)
         self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
@@ -587,11 +447,6 @@ class MeasuredSpeedUpdate:
         self._samples = remembering(samples, place, self.present_since(motor=0))
 
 
-def _interval_s(fit: OutputFit) -> float:
-    """Return the usual time between the samples of a fit."""
-    return float(median(fit.window.histories[-1].interval_s))
-
-
 def published_known_parts(nodes: ContextUpdate, white_box: MotorWhiteBox) -> Array:
     """Return what is known of every published parameter beside its estimate, shape (parameter,).
 
@@ -600,5 +455,5 @@ def published_known_parts(nodes: ContextUpdate, white_box: MotorWhiteBox) -> Arr
         white_box: of the motor.
     """
     if isinstance(nodes, MeasuredSpeedUpdate):
-        return nodes.published_known_parts
+        return nodes.published_mechanics.known_parts
     return white_box.known_parts

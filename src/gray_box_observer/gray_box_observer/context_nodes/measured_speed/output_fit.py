@@ -61,7 +61,9 @@ SEEN = 1.2
 HOPELESS = 4.0
 """The same from which another unit of the outputs will not help."""
 
-MOST_KNOTS, FEWEST_KNOTS, SAMPLES_A_KNOT = 64, 4, 32
+MOST_KNOTS = 64
+FEWEST_KNOTS = 4
+SAMPLES_A_KNOT = 32
 """Of a load that varies."""
 
 WALKS = 4
@@ -158,7 +160,8 @@ class OutputFit:
         sizes = [history.current_a.size for history in self.window.histories]
         row = int(np.argmax(sizes))
         of_history = self.fit.runs.derivatives[row]
-        by_lag, others = of_history[:, LAG], np.delete(of_history, LAG, axis=1)
+        by_lag = of_history[:, LAG]
+        others = np.delete(of_history, LAG, axis=1)
         others /= np.linalg.norm(others, axis=0) + 1e-300
         distinct = by_lag - others @ np.linalg.lstsq(others, by_lag, rcond=1e-12)[0]
         size = float(np.linalg.norm(distinct)) + 1e-300
@@ -262,7 +265,8 @@ def _settled(
         if is_settled:
             ratio = 1.0
         output = replace(output, unit_a_s=ratio * output.unit_a_s)
-        starts, tries_others = [fit.theta], bool(fit.spread.any())  # rivals need another unit too
+        starts = [fit.theta]
+        tries_others = bool(fit.spread.any())  # rivals need another unit too
     return result
 
 
@@ -285,7 +289,8 @@ def _loaded(
         if fit is None:
             return result
         result = _result(fit, window, floor)
-        walk, unit = walk_of_load(fit, window), result.noise.unit_a_s
+        walk = walk_of_load(fit, window)
+        unit = result.noise.unit_a_s
         is_settled = 1.0 / ALIKE < walk / output.walk < ALIKE
         if is_settled and 1.0 / ALIKE < unit / output.unit_a_s < ALIKE:
             break

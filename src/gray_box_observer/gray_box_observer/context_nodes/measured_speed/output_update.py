@@ -60,11 +60,13 @@ class OutputLearner(WindowLearner):
 
     def begin(self) -> None:
         """Begin to look for what explains a window."""
-        self._newest_fit, self._tried_walk = None, self.walk
+        self._newest_fit = None
+        self._tried_walk = self.walk
 
     def end(self) -> None:
         """Keep what was found."""
-        self.output_fit, self.walk = self._newest_fit, self._tried_walk
+        self.output_fit = self._newest_fit
+        self.walk = self._tried_walk
         if self._newest_fit is not None:
             self.unit_a_s = self._newest_fit.noise.unit_a_s
 

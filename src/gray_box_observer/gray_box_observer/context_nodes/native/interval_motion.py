@@ -26,7 +26,9 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 MOST_COORDINATES, MOST_KNOWN = 5, 8
 """Room in `white_box/physics.h`."""
 
-_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+_POINTER = ctypes.c_void_p
 
 _INPUTS = ('p', 'known', 'torque_constant', 'start', 'voltage', 'speed', 'end_speed', 'length')
 _OUTPUTS = ('outputs', 'left_out')
@@ -99,7 +101,9 @@ def move(
         )
     ]
     outputs = np.empty((2 + p.shape[1], motors, intervals))
-    value, by_state, by_coordinate = outputs[0], outputs[1], outputs[2:]
+    value = outputs[0]
+    by_state = outputs[1]
+    by_coordinate = outputs[2:]
     left_out = np.empty(motors, dtype=bool)
     motions = _Motions(
         motors,

@@ -38,11 +38,15 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
 """Room in `regular_block.c`."""
 
-LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
+LEARNT = 1
+LONG_HOLD = 2
+ANCHOR_DUE = 4
 """What is told of a motor, bit by bit: its block is learnt, it has been in a long hold, its anchor
 lies far back."""
 
-_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+_POINTER = ctypes.c_void_p
 
 WRITTEN = {
     'at': 'position',

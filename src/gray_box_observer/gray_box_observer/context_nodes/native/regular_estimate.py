@@ -25,7 +25,9 @@ from gray_box_observer.white_box.interface import Array, Parameter, bounds
 MOST_PARAMETERS = 5
 """Room in `regular_estimate.c`."""
 
-_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+_POINTER = ctypes.c_void_p
 _RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance', 'negligible_share')
 
 
@@ -104,9 +106,11 @@ class RegularEstimates:
             return None
         places, results = self._at
         if motors is None:
-            count, where = self._places.size, None
+            count = self._places.size
+            where = None
         else:
-            count, where = motors.size, places
+            count = motors.size
+            where = places
             self._places[:count] = motors
         if not self._library.tell_estimates(self._about, where, count, *results):
             return None
@@ -122,10 +126,8 @@ class RegularEstimates:
         if share is None or reach is None:
             self._belief_pointers.share = self._belief_pointers.reach = None
         elif share.flags.c_contiguous and reach.flags.c_contiguous:
-            self._belief_pointers.share, self._belief_pointers.reach = (
-                address(share),
-                address(reach),
-            )
+            self._belief_pointers.share = address(share)
+            self._belief_pointers.reach = address(reach)
         else:
             return False
         self._shares = share, reach

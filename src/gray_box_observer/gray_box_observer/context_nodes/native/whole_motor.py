@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.white_box import forms
 
-_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+_POINTER = ctypes.c_void_p
 
 
 class FilterSettings(ctypes.Structure):
@@ -31,7 +33,8 @@ def library() -> ctypes.CDLL | None:
     handle = compiled.load()
     if handle is None or not hasattr(handle, 'whole_motor_respond'):
         return None
-    fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_follow
+    fingerprint = handle.whole_motor_fingerprint
+    run = handle.whole_motor_follow
     fingerprint.restype = run.restype = _COUNT
     run.argtypes = (
         *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
@@ -43,7 +46,8 @@ def library() -> ctypes.CDLL | None:
     respond = handle.whole_motor_respond
     respond.restype = None
     respond.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
-    size, step = handle.whole_motor_filter_size, handle.whole_motor_filter_step
+    size = handle.whole_motor_filter_size
+    step = handle.whole_motor_filter_step
     size.restype = step.restype = _COUNT
     step.argtypes = (
         *(_POINTER, _NUMBER, ctypes.POINTER(FilterSettings), _POINTER, _COUNT, _NUMBER, _NUMBER),

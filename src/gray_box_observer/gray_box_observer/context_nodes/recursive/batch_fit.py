@@ -92,7 +92,9 @@ class Fit:
 
     def select(self, index: NDArray[np.intp]) -> Fit:
         """Return the result of the chosen motors."""
-        ramp, left_out, linear = self.ramp[index], self.left_out[index], self.linear_std[index]
+        ramp = self.ramp[index]
+        left_out = self.left_out[index]
+        linear = self.linear_std[index]
         return Fit(self.belief.select(index), ramp, left_out, linear)
 
 
@@ -213,7 +215,8 @@ class _Search:
 
     def run(self, plain_steps: int) -> list[_Search]:
         """Iterate until nothing moves; return the searches that have come to an end."""
-        converged_searches, search = [], self
+        converged_searches = []
+        search = self
         search._begin()
         for iteration in range(MAX_STEPS):
             search._evaluate(robust=iteration >= plain_steps)
@@ -273,7 +276,8 @@ class _Search:
 
     def _gains(self) -> Array:
         """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
-        steady, restart = self._gain[:, None], self._stretch.restart
+        steady = self._gain[:, None]
+        restart = self._stretch.restart
         self._loose = restart_variance(self._maps.decay, restart)
         return np.maximum(steady, taken_over(self._loose))
 
@@ -292,7 +296,9 @@ class _Search:
 
     def _step(self, selection: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """One Gauss-Newton step of some of the motors; tell of each if it was small."""
-        n, p, prior = self._p.shape[1], self._p, self._prior
+        n = self._p.shape[1]
+        p = self._p
+        prior = self._prior
         frame = Scaling(self._size, p)
         jacobian = frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
@@ -323,15 +329,20 @@ class _Search:
         about = self._path.state + (jacobian @ step[..., None])[..., 0]
         next_p = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
         if not np.all(selection):
-            one, two = selection[:, None], selection[:, None, None]
+            one = selection[:, None]
+            two = selection[:, None, None]
             frame = Scaling(self._size, np.where(one, p, self._frame.p))
             noise = np.where(selection, noise, self._noise)
             precision = np.where(two, precision, self._precision)
             information = np.where(two, information, self._information)
             about, next_p = np.where(one, about, self._about), np.where(one, next_p, p)
-        self._frame, self._noise = frame, noise
-        self._information, self._precision = information, precision
-        self._about, self._first, self._p = about, about[:, 0], next_p
+        self._frame = frame
+        self._noise = noise
+        self._information = information
+        self._precision = precision
+        self._about = about
+        self._first = about[:, 0]
+        self._p = next_p
         step[:, COORDINATES] = next_p / p - 1.0
         distance2 = (step * (precision @ step[..., None])[..., 0]).sum(axis=1)
         is_small: NDArray[np.bool_] = (np.abs(step).max(axis=1) < TOLERANCE) | (
@@ -342,9 +353,11 @@ class _Search:
     def choose_gain(self) -> NDArray[np.bool_]:
         """Adopt the gain that explains the window best, on clear evidence; tell where not 0."""
         count = np.sum(self._weights, axis=1)
-        trust, restart_gain = self._weights > 0.0, taken_over(self._loose)
+        trust = self._weights > 0.0
+        restart_gain = taken_over(self._loose)
         maps = self._maps.motion
-        best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
+        best = np.zeros_like(self._gain)
+        least = self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
             path = follow(maps, self._stretch, self._first, np.maximum(gain, restart_gain) * trust)

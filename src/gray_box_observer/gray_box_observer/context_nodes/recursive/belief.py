@@ -187,7 +187,8 @@ def check_belief(name: str, arrays: Mapping[str, Array], coordinates: int) -> No
         'sensitivity': ArrayRule((1, n)),
     }
     check_arrays(arrays, rules, f'{name}.')
-    covariance, noise = arrays[f'{name}.covariance'], arrays[f'{name}.noise']
+    covariance = arrays[f'{name}.covariance']
+    noise = arrays[f'{name}.noise']
     check_array(f'{name}.covariance, times the noise', covariance * noise**2, ArrayRule(shape))
     check_covariance(f'{name}.covariance', covariance)
 

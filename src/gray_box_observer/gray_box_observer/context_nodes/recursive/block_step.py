@@ -163,7 +163,8 @@ def _from(
     Spread and variance are in units of the noise; the state takes nothing over from samples that
     are not near.
     """
-    loose, gain = np.zeros_like(about), belief.gain[:, None]
+    loose = np.zeros_like(about)
+    gain = belief.gain[:, None]
     maps = linearise(white_box, belief.p, stretch, about)
     if stretch.restart.any():
         loose = restart_variance(maps.decay, stretch.restart)
@@ -230,7 +231,8 @@ def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
     """
     n = belief.p.shape[1]
     both = np.empty((*block.right.shape, n + STATES + 1))
-    both[..., :-1], both[..., -1] = block.information, block.right
+    both[..., :-1] = block.information
+    both[..., -1] = block.right
     solution = solved(np.eye(n + STATES) + block.information @ belief.covariance, both)
     sound = ~block.has_kick & (np.diagonal(solution, axis1=1, axis2=2) >= 0.0).all(axis=1)
     if not sound.all():  # rounding has made the covariance indefinite: mend it

@@ -124,7 +124,8 @@ class BlockUpdater:
         Nothing follows from a current that does not move: noise of the voltage would be taken for
         what moves it not.
         """
-        state, step = motors.state, quantisation_step(stretch.state)
+        state = motors.state
+        step = quantisation_step(stretch.state)
         state.least_noise = np.where(step > 0.0, STEP_TO_STD * step, state.least_noise)
         waits: NDArray[np.bool_] = ~state.is_started & (
             np.ptp(stretch.state, axis=1) <= WITHIN_STEP * step
@@ -138,7 +139,8 @@ class BlockUpdater:
 
     def _fit(self, motors: MotorSelection, samples: int) -> None:
         state = motors.state
-        stretch, start = motors.newest(samples), state.belief.p
+        stretch = motors.newest(samples)
+        start = state.belief.p
         fresh = ~state.is_started
         if np.any(fresh):
             start = np.where(
@@ -204,14 +206,16 @@ class BlockUpdater:
         not.
         """
         part = motors.part(index)
-        stretch, prior = part.newest(samples), self._vague(part.state.prior)
+        stretch = part.newest(samples)
+        prior = self._vague(part.state.prior)
         start = self._first_guess(part, prior, stretch, samples)
         again = self._fitted(part, stretch, start, prior)
         gain = samples * np.log(fit.belief.noise[index] / again.belief.noise)
         better = again.belief.finite & (gain > FREE)
         if not better.any():
             return fit
-        places, result = index[better], copied(fit)
+        places = index[better]
+        result = copied(fit)
         put(result, places, chosen(again, better))
         vague_prior = copied(motors.state.prior)
         put(vague_prior, places, chosen(prior, better))
@@ -249,7 +253,8 @@ class BlockUpdater:
         if not (status > LEARNT).any():
             return
         if (in_hold := motors[status & LONG_HOLD > 0]).size:
-            hold, belief = chosen(state.hold, in_hold), chosen(state.belief, in_hold)
+            hold = chosen(state.hold, in_hold)
+            belief = chosen(state.belief, in_hold)
             put(state.belief, in_hold, self._holds.cut(hold, belief))
         if (far := motors[status & ANCHOR_DUE > 0]).size:
             self._move_anchors(state, far)
@@ -257,11 +262,9 @@ class BlockUpdater:
     def update(self, motors: MotorSelection, samples: int) -> None:
         """Learn one block of samples; request an examination where the motor seems changed."""
         state = motors.state
-        stretch, fresh, expected_belief = (
-            motors.newest(samples + 1),
-            ~state.hold.begun,
-            state.belief,
-        )
+        stretch = motors.newest(samples + 1)
+        fresh = ~state.hold.begun
+        expected_belief = state.belief
         if fresh.any():  # what is vague must not make everything seem possible
             expected_belief = replace(
                 expected_belief,
@@ -371,7 +374,8 @@ class BlockUpdater:
         """Learn a block in which nothing is suspicious."""
         state = motors.state
         is_walking = state.walk_rate > 0.0
-        passed_s, walk_spread = block.stretch.interval_s.sum(axis=1), None
+        passed_s = block.stretch.interval_s.sum(axis=1)
+        walk_spread = None
         if is_walking.any():
             walk_spread = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
         state.belief = block_step.learn(motors.white_box, state.belief, block, walk_spread)

@@ -69,7 +69,8 @@ class ChangeTracker:
 
     def examine(self, motors: MotorSelection, samples: int) -> None:
         """Fit the newest samples under every kind of change; adopt the likeliest if clear."""
-        state, belief = motors.state, motors.state.belief
+        state = motors.state
+        belief = motors.state.belief
         stretch = motors.newest(samples)
         before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
         priors = [before.loosened(change.directions) for change in self._changes]
@@ -98,7 +99,8 @@ class ChangeTracker:
             return
         state.change_count = state.change_count + has_jumped
         motors.forget(samples, has_jumped)
-        best_belief, freedom = fits[0].belief, priors[0].covariance
+        best_belief = fits[0].belief
+        freedom = priors[0].covariance
         for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             best_belief = best_belief.overwritten(fit.belief, best == j)
             freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
@@ -126,7 +128,8 @@ class ChangeTracker:
             selection: shape (motor,): those that are asked about.
             jumped_before: so many samples ago they may have changed suddenly instead.
         """
-        state, is_walking = motors.state, np.zeros_like(selection)
+        state = motors.state
+        is_walking = np.zeros_like(selection)
         length = state.position - state.anchor_position + 1
         for samples in distinct(length[selection]).tolist():
             index = np.flatnonzero(selection & (length == samples))
@@ -139,7 +142,8 @@ class ChangeTracker:
         self, motors: MotorSelection, stretch: SampleWindow, jumped_before: int | None
     ) -> NDArray[np.bool_]:
         """The same for motors whose anchor lies equally far back."""
-        state, jump = motors.state, None
+        state = motors.state
+        jump = None
         is_long = stretch.interval_s.sum(axis=1) >= SHORTEST_DRIFT_S
         may_walk: NDArray[np.bool_] = is_long | (state.walk_rate > 0.0)
         if not may_walk.any():
@@ -192,7 +196,8 @@ class ChangeTracker:
         The motors stand side by side once for each prior, for every motor finds what it would find
         alone: arithmetic on arrays costs little more for five than for one.
         """
-        state, count = motors.state, len(motors.state.belief.p)
+        state = motors.state
+        count = len(motors.state.belief.p)
         index = np.tile(np.arange(count), len(priors))
         prior = Prior(
             np.concatenate([one.p for one in priors]),

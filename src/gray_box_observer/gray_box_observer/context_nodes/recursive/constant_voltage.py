@@ -86,7 +86,9 @@ class HoldState:
     @classmethod
     def none(cls, motors: int, coordinates: int) -> HoldState:
         """Return the state before the first sample."""
-        nothing, no, n = np.zeros(motors), np.zeros(motors, dtype=bool), coordinates
+        nothing = np.zeros(motors)
+        no = np.zeros(motors, dtype=bool)
+        n = coordinates
         hold = np.full(motors, np.inf), nothing, nothing.copy(), no, no.copy()
         return cls(*hold, np.ones((motors, n)), np.zeros((motors, n, n)))
 
@@ -208,10 +210,8 @@ class ConstantVoltage:
         if not still.any():
             return belief
         size = np.abs(stretch.state)
-        most, last = (
-            quantile(size, 0.98),
-            size[:, -max(1, size.shape[1] // 4) :].mean(axis=1),
-        )
+        most = quantile(size, 0.98)
+        last = size[:, -max(1, size.shape[1] // 4) :].mean(axis=1)
         stays = last > RISEN * most
         still &= ~(stays & (size[:, 0] < FROM_REST * most))
         falls = still & ~stays
@@ -270,7 +270,8 @@ class ConstantVoltage:
             return belief
         f = int(np.sum(self._free))
         order = np.argsort(~self._free, kind='stable')  # what is free first
-        back, rest = np.argsort(order), order[f:] - STATES
+        back = np.argsort(order)
+        rest = order[f:] - STATES
         covariance = belief.covariance[:, order][:, :, order]
         a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
         marginal = posterior[:, rest][:, :, rest] / belief.noise[:, None, None] ** 2

@@ -167,7 +167,8 @@ class RecursiveEstimator:
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
-        belief, parameters = self._state.belief, self._white_box.parameters
+        belief = self._state.belief
+        parameters = self._white_box.parameters
         everyone = isinstance(selection, slice) and selection == slice(None)
         motors = None if everyone else np.arange(self.replay.motors)[selection]
         values = None if self._is_frozen else self._compiled_values(motors)
@@ -227,7 +228,8 @@ class RecursiveEstimator:
 
     def _finish(self, batch: BatchResult) -> None:
         """Do what is due and has not been done, as much of it as one sample's turn allows."""
-        motors, status = batch.motors, batch.status
+        motors = batch.motors
+        status = batch.status
         if motors is None:
             motors = self._schedule.due_blocks(self._updater.batch_size)
             self._state, status = self._updater.learn_regular(self._state, motors, self._schedule)
@@ -303,7 +305,9 @@ class RecursiveEstimator:
         selection = motor if isinstance(motor, slice) else slice(motor, motor + 1)
         check_parameters(plain, parameters)
         check(plain, arrays, len(parameters))
-        content, begin, new = arrays['replay'], plain['begin'], plain['new']
+        content = arrays['replay']
+        begin = plain['begin']
+        new = plain['new']
         if new > min(content.shape[2], self.replay.capacity // 2):  # from a larger memory
             new = 0
         if content.shape[2] - new < self.replay.capacity:  # less is there than may be remembered

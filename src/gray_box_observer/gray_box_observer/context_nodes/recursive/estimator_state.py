@@ -80,7 +80,8 @@ class EstimatorState:
         motors, n = prior.p.shape
         memories = len(MEMORIES_BLOCKS)
         belief = Belief.before_data(prior)
-        zeros, no_counts = np.zeros(motors), np.zeros(motors, dtype=int)
+        zeros = np.zeros(motors)
+        no_counts = np.zeros(motors, dtype=int)
         state = cls(
             belief=belief,
             prior=prior,

@@ -30,7 +30,8 @@ def voltage_shares(white_box: WhiteBox, stretch: SampleWindow) -> Array:
         Shape (motor, parameter), in 1 / unit of the parameter; 0, which is nothing known, for what
         is never negligible: the leading parameter, and what heats (a winding has both).
     """
-    current, is_valid = stretch.state[:, 1:], ~stretch.restart
+    current = stretch.state[:, 1:]
+    is_valid = ~stretch.restart
     speed = white_box.speed(current, stretch.speed_rad_s[:, 1:])
     voltage = _mean_square(stretch.voltage_v, is_valid)
     shares = np.zeros((current.shape[0], len(white_box.parameters)))

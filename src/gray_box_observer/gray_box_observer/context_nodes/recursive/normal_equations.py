@@ -78,7 +78,8 @@ class Scaling:
     def convert(self, covariance: Array, new: Scaling) -> Array:
         """Express a covariance of this frame in the units of another."""
         ratio = np.empty((self.p.shape[0], STATES + self.p.shape[1]))
-        ratio[:, CURRENT], ratio[:, COORDINATES] = self.current_a / new.current_a, self.p / new.p
+        ratio[:, CURRENT] = self.current_a / new.current_a
+        ratio[:, COORDINATES] = self.p / new.p
         covariance_here: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
         return covariance_here
 
@@ -142,7 +143,8 @@ def bounded_solution(matrix: Array, right: Array, lowest: Array, highest: Array)
     inside = values.clip(lowest, highest)
     if (inside == values).all():
         return values
-    eye, free = np.eye(matrix.shape[-1]), np.ones(values.shape, dtype=bool)
+    eye = np.eye(matrix.shape[-1])
+    free = np.ones(values.shape, dtype=bool)
     for _ in range(matrix.shape[-1]):
         beyond = free & (inside != values) & np.isfinite(values)
         if not beyond.any():
@@ -167,7 +169,8 @@ def step_limits(coordinates: int) -> tuple[Array, Array]:
     """
     smallest, largest = np.full(STATES + coordinates, LEAST_BESIDE), np.ones(STATES + coordinates)
     smallest[STATES : STATES + 2] = LEAST_STEP
-    smallest[CURRENT], largest[CURRENT] = -np.inf, np.inf
+    smallest[CURRENT] = -np.inf
+    largest[CURRENT] = np.inf
     smallest.flags.writeable = largest.flags.writeable = False
     return smallest, largest
 

@@ -101,9 +101,12 @@ def select_rate(
         jumps,
     )
     rows = np.split(np.arange(index.size), len(rates))
-    ends, kept_still = [end.select(row) for row in rows], likelihoods.select(rows[0])
+    ends = [end.select(row) for row in rows]
+    kept_still = likelihoods.select(rows[0])
     evidences = [kept_still.less_likely_than(likelihoods.select(row)) for row in rows]
-    best, rate, most = ends[0], np.zeros(motors), np.zeros(motors)
+    best = ends[0]
+    rate = np.zeros(motors)
+    most = np.zeros(motors)
     if jump is not None:
         most = np.maximum(most, evidences[1])
     most = most + WALK_EVIDENCE

@@ -114,7 +114,8 @@ def check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) -> 
     Raises:
         CheckpointError: something is missing, or no state of this rule.
     """
-    n, memories = coordinates, len(MEMORIES_BLOCKS)
+    n = coordinates
+    memories = len(MEMORIES_BLOCKS)
     check_belief('belief', arrays, n)
     check_belief('anchor', arrays, n)
     check_prior(arrays, n)

@@ -34,7 +34,9 @@ CURRENT = int(State.CURRENT)
 COORDINATES = slice(STATES, None)
 """Places of the coordinates among the unknowns."""
 
-STATE_ROW, START_ROW, COORDINATE_ROWS = 0, 1, slice(2, None)
+STATE_ROW = 0
+START_ROW = 1
+COORDINATE_ROWS = slice(2, None)
 """Rows of a trajectory: the state, its derivative by the first state, and those by the coordinates.
 """
 
@@ -113,16 +115,15 @@ class SampleWindow:
 
     def select(self, index: NDArray[np.intp]) -> SampleWindow:
         """Return the stretch of the chosen motors."""
-        voltage, interval, speed = (
-            self.voltage_v[index],
-            self.interval_s[index],
-            self.speed_rad_s[index],
-        )
+        voltage = self.voltage_v[index]
+        interval = self.interval_s[index]
+        speed = self.speed_rad_s[index]
         return SampleWindow(self.state[index], voltage, interval, speed, self.restart[index])
 
     def part(self, begin: int, end: int) -> SampleWindow:
         """Return samples ``begin`` ... ``end`` as a stretch."""
-        between, samples = slice(begin, end), slice(begin, end + 1)
+        between = slice(begin, end)
+        samples = slice(begin, end + 1)
         return SampleWindow(
             self.state[:, samples],
             self.voltage_v[:, between],
@@ -228,7 +229,8 @@ def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array
         stretch: the samples.
         about: shape (motor, k + 1): states to linearise about.
     """
-    speed, start = stretch.speed_rad_s, about[:, :-1]
+    speed = stretch.speed_rad_s
+    start = about[:, :-1]
     ends = speed[:, :-1], speed[:, 1:]
     motion = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
     end, by_state, by_coordinate = motion.of_state(CURRENT)
@@ -261,7 +263,8 @@ def follow(maps: Linearised, stretch: SampleWindow, start: Array, gain: Array) -
     factor = maps.decay * (1.0 - gain)
     inputs = np.empty((START_ROW + 1 + maps.by_coordinate.shape[0], *factor.shape))
     inputs[STATE_ROW] = maps.offset + maps.decay * gain * stretch.state[:, :-1]
-    inputs[START_ROW], inputs[COORDINATE_ROWS] = 0.0, maps.by_coordinate
+    inputs[START_ROW] = 0.0
+    inputs[COORDINATE_ROWS] = maps.by_coordinate
     first = np.zeros((inputs.shape[0], start.size))
     first[STATE_ROW], first[START_ROW] = start, 1.0
     rows = recurrence(factor, inputs, first)
@@ -286,11 +289,14 @@ def find_kicks(
         Shape (motor, k): whether the state at sample 1 ... k came by a kick.
     """
     innovation = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
-    limit, change = KICK * noise[:, None], np.abs(innovation)
+    limit = KICK * noise[:, None]
+    change = np.abs(innovation)
     large = (change > limit).any(axis=1, keepdims=True)
     if not large.any():
         return change > limit
-    earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
+    earlier = _shifted(change, 2)
+    before = _shifted(change, 1)
+    after = _shifted(change, -1)
     one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
     both = np.abs(innovation + path.factor * _shifted(innovation, 1))
     two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
@@ -426,7 +432,8 @@ def _in_parts(factor: Array, inputs: Array, start: Array) -> Array:
         motors, parts, length
     )
     inputs = np.pad(inputs, ((0, 0), (0, 0), (0, spare))).reshape(rows, motors, parts, length)
-    inside, reach = np.empty_like(inputs), np.cumprod(factor, axis=-1)
+    inside = np.empty_like(inputs)
+    reach = np.cumprod(factor, axis=-1)
     value = np.zeros((rows, motors, parts))
     for j in range(length):
         value = factor[..., j] * value + inputs[..., j]

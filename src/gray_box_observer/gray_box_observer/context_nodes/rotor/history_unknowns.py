@@ -107,7 +107,8 @@ class LateReadings:
         time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
         instant = time_s - unknowns[LAG]
         left = np.clip(np.searchsorted(time_s, instant, side='right') - 1, 0, interval_s.size - 1)
-        edge, behind_s = 1e-9 * interval_s[0], interval_s[left]
+        edge = 1e-9 * interval_s[0]
+        behind_s = interval_s[left]
         return cls(
             left,
             (instant - time_s[left]) / behind_s,

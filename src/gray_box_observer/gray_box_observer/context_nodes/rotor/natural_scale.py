@@ -33,12 +33,14 @@ def shares_of_scale(white_box: MotorWhiteBox, theta: Array, window: Window) -> A
         Shape (parameter,); infinite for a parameter of no known scale.
     """
     values = white_box.values(theta)
-    resistance, back_emf = values['resistance'], values['back_emf_constant']
+    resistance = values['resistance']
+    back_emf = values['back_emf_constant']
     torque_constant = float(white_box.torque_constant)
     interval_s = float(median(np.concatenate([h.interval_s for h in window.histories])))
     voltage = window.largest_voltage_v + 1e-12
     current = float(quantile(np.abs(window.current_a), 0.99)) + 1e-12
-    torque, speed = torque_constant * current, voltage / back_emf
+    torque = torque_constant * current
+    speed = voltage / back_emf
     scale = {
         'inductance': UNRESOLVED * interval_s * resistance,
         'resistance': voltage / current,

@@ -145,7 +145,8 @@ class RotorUpdate:
         """Stop or resume learning; a new signal history follows what comes while frozen."""
         if is_frozen == self._is_frozen:
             return
-        self._is_frozen, self._resumes = is_frozen, not is_frozen
+        self._is_frozen = is_frozen
+        self._resumes = not is_frozen
 
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts."""
@@ -238,7 +239,8 @@ class RotorUpdate:
             return False
         with np.errstate(all='ignore'):
             has_changed = completed_within(self._fit_task.work, FINISHED // 2)
-        self._fit_task, self._budget.pieces = None, 0
+        self._fit_task = None
+        self._budget.pieces = 0
         return bool(has_changed)
 
     def finish(self) -> bool:
@@ -284,7 +286,9 @@ class RotorUpdate:
 
         Nothing of this rule may change before the last piece is done.
         """
-        count, schedule, learner = samples.shape[1], self._schedule, self._learner
+        count = samples.shape[1]
+        schedule = self._schedule
+        learner = self._learner
         voltage = samples[VOLTAGE, 1:]
         if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
             schedule.skip(place, is_settled=learner.is_settled)

@@ -57,7 +57,8 @@ STRAIGHT_COST, HELD_COST = 2, 4
 FEWEST_INTERVALS = 8
 """Of a run, from which straight motions are prepared."""
 
-MANY_STEPS, SAME_LENGTH = 16, 1e-6
+MANY_STEPS = 16
+SAME_LENGTH = 1e-6
 """Runge-Kutta steps from which they are prepared anew for an interval of another length, and the
 share by which a length is another."""
 
@@ -240,7 +241,8 @@ class _Motion:
 
     def __init__(self, torque_constant: float, p: Array, far: Array) -> None:
         self._motor: Any = WholeMotor(torque_constant)
-        self._p, self._far = p, far
+        self._p = p
+        self._far = far
         self._coefficients = dict(enumerate(p.tolist()))
         self._straight: StraightMotion | None = None
         self._length_s = math.nan  # that straight motions were looked for of
@@ -294,7 +296,8 @@ class _Motion:
         if motion is not None:
             self.steps += STRAIGHT_COST
             return motion
-        may_halve, few = straight is not None and level < HALVINGS, FEW_STEPS * LARGEST_STEP
+        may_halve = straight is not None and level < HALVINGS
+        few = FEW_STEPS * LARGEST_STEP
         away = _fastest(here)
         interval = Interval(volt, 0.0, 0.0, length_s)  # type: ignore[arg-type]
         if not may_halve or away * length_s <= few:

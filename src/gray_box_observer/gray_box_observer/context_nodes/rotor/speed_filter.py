@@ -32,7 +32,9 @@ torque."""
 LOAD = list(TERMS).index('load_torque')
 """Place of the load among the coordinates, where it stands over the inertia."""
 
-CURRENT, SPEED, ACCELERATION = State.CURRENT, State.SPEED, STATES
+CURRENT = State.CURRENT
+SPEED = State.SPEED
+ACCELERATION = STATES
 """Places among the states of a filter; the last one is the load over the inertia."""
 
 MEMORY = 0.99
@@ -70,6 +72,37 @@ class SpeedEstimate:
     std_rad_s: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Motor:
+    """What a filter needs of the parameters of a motor.
+
+    Attributes:
+        theta: shape (parameter,): the parameters.
+        p: coordinates of its motion.
+        p_pointer: where compiled code finds them.
+        resistance: in ohm.
+        back_emf: Kb in V s/rad.
+        time_s: mechanical time constant.
+    """
+
+    theta: Array
+    p: Array
+    p_pointer: int
+    resistance: float
+    back_emf: float
+    time_s: float
+
+    @classmethod
+    def from_theta(cls, white_box: MotorWhiteBox, theta: Array) -> _Motor:
+        """Work out what follows from parameters."""
+        values = white_box.values(theta)
+        p = coordinates(white_box, theta)
+        resistance = values['resistance']
+        back_emf = values['back_emf_constant']
+        time_s = values['inertia'] * resistance / (back_emf * float(white_box.torque_constant))
+        return cls(theta.copy(), p, native.pointer(p), resistance, back_emf, time_s)
+
+
 class SpeedFilter:
     """Follows the speed of one motor with a rotor.
 
@@ -92,12 +125,9 @@ class SpeedFilter:
         self._states = np.zeros((WALKS.size, STATES + 1))
         self._covariance = np.zeros((WALKS.size, STATES + 1, STATES + 1))
         self._log_likelihood = np.zeros(WALKS.size)
-        self._values: Array | None = None
-        self._p = np.empty(0)
+        self._known_motor: _Motor | None = None
         self._pointers: tuple[int, ...] = ()
-        self._to_p = 0
         self._torque_constant = float(white_box.torque_constant)
-        self._resistance = self._back_emf = self._time_s = 0.0
         self._largest_v = LEAST_V
 
     def step(
@@ -122,74 +152,73 @@ class SpeedFilter:
         Returns:
             The speed at the sample; None where it cannot be followed.
         """
-        self._look_up(theta)
+        motor = self._motor(theta)
         begins = interval_s <= 0.0 or not self._is_running
         self._is_running = noise_a > 0.0 and math.isfinite(current_a) and math.isfinite(voltage_v)
         if not self._is_running:
             return None
         self._largest_v = max(self._largest_v, abs(voltage_v))
         if begins:
-            self._start(noise_a, voltage_v, current_a)
+            self._start(motor, noise_a, voltage_v, current_a)
         elif self._library is not None:
-            self._is_running = self._compiled_step(noise_a, interval_s, voltage_v, current_a)
+            self._is_running = self._compiled_step(motor, noise_a, interval_s, voltage_v, current_a)
             speed, spread = self._mean.tolist()
-            return self._told(speed, spread, resistance_std * current_a / self._back_emf)
+            return self._told(speed, spread, resistance_std * current_a / motor.back_emf)
         else:
-            self._is_running = self._predict(noise_a, interval_s, voltage_v)
+            self._is_running = self._predict(motor, noise_a, interval_s, voltage_v)
         if self._is_running:
             self._correct(noise_a, current_a)
-        return self._mixed(resistance_std * current_a / self._back_emf)
+        return self._mixed(resistance_std * current_a / motor.back_emf)
 
-    def _look_up(self, theta: Array) -> None:
-        """Work out what follows from the parameters, where they have changed."""
-        if self._values is not None and (theta == self._values).all():
-            return
-        self._values = theta.copy()
-        box = self._white_box
-        values = box.values(theta)
-        self._p = coordinates(box, theta)
-        self._to_p = native.pointer(self._p)
-        self._resistance, self._back_emf = values['resistance'], values['back_emf_constant']
-        self._time_s = (
-            values['inertia'] * self._resistance / (self._back_emf * self._torque_constant)
-        )
+    def _motor(self, theta: Array) -> _Motor:
+        """Return what follows from the parameters; worked out where they have changed."""
+        if self._known_motor is None or (theta != self._known_motor.theta).any():
+            self._known_motor = _Motor.from_theta(self._white_box, theta)
+        return self._known_motor
 
     @property
     def _no_load_speed(self) -> float:
-        return self._largest_v / self._back_emf
+        assert self._known_motor is not None
+        return self._largest_v / self._known_motor.back_emf
 
-    def _start(self, noise_a: float, voltage_v: float, current_a: float) -> None:
+    def _start(self, motor: _Motor, noise_a: float, voltage_v: float, current_a: float) -> None:
         """Begin where voltage and current put the speed, which is but a guess."""
-        speed = (voltage_v - self._resistance * current_a) / self._back_emf
-        self._states[:] = current_a, speed, self._p[LOAD]
+        speed = (voltage_v - motor.resistance * current_a) / motor.back_emf
+        self._states[:] = current_a, speed, motor.p[LOAD]
         self._covariance[:] = np.diag([noise_a**2, self._no_load_speed**2, 0.0])
         self._log_likelihood[:] = 0.0
 
     def _compiled_step(
-        self, noise_a: float, interval_s: float, voltage_v: float, current_a: float
+        self,
+        motor: _Motor,
+        noise_a: float,
+        interval_s: float,
+        voltage_v: float,
+        current_a: float,
     ) -> bool:
         """Predict and correct every filter in compiled code; tell whether that was possible."""
         assert self._library is not None
         own = self._settings
-        own.noise, own.no_load_speed = noise_a, self._no_load_speed
-        own.share = interval_s / self._time_s
-        own.stall = own.no_load_speed / self._time_s
+        own.noise = noise_a
+        own.no_load_speed = self._no_load_speed
+        own.share = interval_s / motor.time_s
+        own.stall = own.no_load_speed / motor.time_s
         if not self._pointers:
             arrays = (self._states, self._covariance, self._log_likelihood, self._share, self._mean)
             self._pointers = tuple(map(native.pointer, arrays))
         is_done = self._library.whole_motor_filter_step(
-            self._to_p, self._torque_constant, own, _TO_WALKS, WALKS.size, interval_s, voltage_v,
-            current_a, *self._pointers,
+            motor.p_pointer, self._torque_constant, own, _TO_WALKS, WALKS.size, interval_s,
+            voltage_v, current_a, *self._pointers,
         )  # fmt: skip
         return bool(is_done)
 
-    def _predict(self, noise_a: float, interval_s: float, voltage_v: float) -> bool:
+    def _predict(self, motor: _Motor, noise_a: float, interval_s: float, voltage_v: float) -> bool:
         """Move every filter on by an interval; tell whether that could be followed."""
         mean = self._shares() @ self._states
         limits = np.array(
             [100.0 * (abs(mean[0]) + noise_a) + 1e3, 100.0 * self._no_load_speed + abs(mean[1])]
         )
-        p = self._p.copy()
+        p = motor.p.copy()
         p[LOAD] = mean[ACCELERATION]
         path = run(
             self._torque_constant, p, mean[:STATES].copy(),
@@ -206,9 +235,9 @@ class SpeedFilter:
         self._states[:] = apart
         self._covariance[:] = motion @ self._covariance @ motion.T
         self._covariance[:, CURRENT, CURRENT] += (COARSENESS * noise_a) ** 2
-        share = interval_s / self._time_s
+        share = interval_s / motor.time_s
         self._covariance[:, SPEED, SPEED] += share * (SLIP * self._no_load_speed) ** 2
-        stall = self._no_load_speed / self._time_s
+        stall = self._no_load_speed / motor.time_s
         self._covariance[:, ACCELERATION, ACCELERATION] += share * WALKS * stall**2
         return True
 
@@ -233,7 +262,8 @@ class SpeedFilter:
         """Return the speed that the filters agree on, its spread with a further one."""
         if not self._is_running:
             return None
-        shares, speeds = self._shares(), self._states[:, SPEED]
+        shares = self._shares()
+        speeds = self._states[:, SPEED]
         speed = float(shares @ speeds)
         spread = self._covariance[:, SPEED, SPEED] + (speeds - speed) ** 2
         return self._told(speed, float(shares @ spread), more_std)

@@ -64,7 +64,8 @@ class Level:
         powers = [np.linalg.matrix_power(jacobian, n) for n in range(TERMS_OF_SERIES + 1)]
         weights = [length_s**n / factorial(n) for n in range(TERMS_OF_SERIES + 3)]
         size = jacobian.shape[0]
-        state, rate = np.zeros((size, size)), np.zeros((size, size))
+        state = np.zeros((size, size))
+        rate = np.zeros((size, size))
         slope = np.zeros((size,) * 4)
         for n, power in enumerate(powers):
             state += weights[n] * power
@@ -130,7 +131,8 @@ class StraightMotion:
             at = [0.0 if other is state else float(far[other]) for other in State]
             difference = np.abs(np.array(rate_at(at).by_state) - jacobian).sum()
             bends.append(not bool(difference <= CONSTANT * total))
-        halvings, least_s = 0, length_s
+        halvings = 0
+        least_s = length_s
         while halvings < LEVELS - 1 or not total * least_s <= SHORT:
             if halvings == MOST_HALVINGS:
                 return None
@@ -150,9 +152,12 @@ class StraightMotion:
             here: the rate there.
             level: how often the length was halved.
         """
-        way, half = self.levels[level], self.levels[level + 1]
-        begin, rate = np.array(start), np.array(here.value)
-        end, middle = begin + way.rate @ rate, begin + half.rate @ rate
+        way = self.levels[level]
+        half = self.levels[level + 1]
+        begin = np.array(start)
+        rate = np.array(here.value)
+        end = begin + way.rate @ rate
+        middle = begin + half.rate @ rate
         ahead = self.length_s / 2**level * rate
         for state in State:
             heads_for_zero = ahead[state] * begin[state] <= 0.0

@@ -71,7 +71,8 @@ def _solved(window: Window, width: int, *, has_load: bool) -> Array | None:
 def _rows(history: History, width: int, resistance: float | None) -> Array:
     """One row a triangle: what multiplies L, R + L b, R b + a, -b, -c and -d, and the right."""
     time_s = np.concatenate([[0.0], np.cumsum(history.interval_s)])
-    current, volt = history.current_a, history.voltage_v
+    current = history.current_a
+    volt = history.voltage_v
     once = _integral(0.5 * (current[1:] + current[:-1]), history)
     twice = _twice(current, once, history)
     volt_once = _integral(volt, history)
@@ -86,7 +87,9 @@ def _rows(history: History, width: int, resistance: float | None) -> Array:
 
     def corners(signal: Array) -> Array:
         """Second difference over the corners of every triangle."""
-        before, middle, after = signal[: -2 * width], signal[width:-width], signal[2 * width :]
+        before = signal[: -2 * width]
+        middle = signal[width:-width]
+        after = signal[2 * width :]
         result: Array = (before - middle) / left + (after - middle) / right
         return result
 

@@ -153,12 +153,15 @@ class Window:
         """How often the voltage has moved by a part of its range, without a pause."""
         level = np.concatenate([h.voltage_v for h in self.histories] or [np.zeros(1)])
         least = MOVE * float(np.ptp(level))
-        count, moved_at, reference = 0, -1, float(level[0])
+        count = 0
+        moved_at = -1
+        reference = float(level[0])
         for k in (np.flatnonzero(np.diff(level)) + 1).tolist():
             volt = float(level[k])
             if abs(volt - reference) > least:
                 count += k > moved_at + 1
-                moved_at, reference = k, volt
+                moved_at = k
+                reference = volt
         return count
 
     def tail(self, samples: int) -> Window:
@@ -279,7 +282,8 @@ class FreeRuns:
 
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""
-        begin, parts = 0, []
+        begin = 0
+        parts = []
         outputs = 1 if self.window.speed_output is None else len(State)
         for path in self.runs:
             count = path.states.shape[0]
@@ -347,7 +351,8 @@ def _derivatives(
     window: Window,
 ) -> Array:
     """Derivatives of a history's readings, shape (reading, unknown + parameter)."""
-    output, count = window.speed_output, path.states.shape[0]
+    output = window.speed_output
+    count = path.states.shape[0]
     unknowns = STATES if output is None else output.unknowns
     outputs = 1 if output is None or late is None else len(State)
     result = np.zeros((outputs, count, unknowns + by_logarithm.shape[1]))

@@ -16,7 +16,8 @@ from gray_box_observer.white_box.interface import Array
 
 def robust_weights(residual: Array, scale: float, *, leaves_out: bool) -> Array:
     """Return how much every sample counts: less, or nothing, beyond the limit of an outlier."""
-    limit, size = OUTLIER * scale, np.abs(residual)
+    limit = OUTLIER * scale
+    size = np.abs(residual)
     if leaves_out:
         near: Array = (size < limit).astype(float)
         return near
@@ -26,7 +27,8 @@ def robust_weights(residual: Array, scale: float, *, leaves_out: bool) -> Array:
 
 def robust_cost(residual: Array, scale: float, *, leaves_out: bool) -> float:
     """Sum of squares; what lies beyond the limit counts less, or as one at the limit."""
-    limit, size = OUTLIER * scale, np.abs(residual)
+    limit = OUTLIER * scale
+    size = np.abs(residual)
     within = np.minimum(size, limit)
     beyond = 0.0 if leaves_out else 2.0 * limit * (size - within)
     return float((within**2 + beyond).sum()) / scale**2
@@ -79,9 +81,12 @@ class Equations:
         """
         count, unknowns = start_pull.shape
         parameters = runs.by_logarithm.shape[1]
-        own, others = slice(0, unknowns), slice(unknowns, None)
-        information, right = np.zeros((parameters, parameters)), np.zeros(parameters)
-        gain, level = np.zeros((count, unknowns, parameters)), np.zeros((count, unknowns))
+        own = slice(0, unknowns)
+        others = slice(unknowns, None)
+        information = np.zeros((parameters, parameters))
+        right = np.zeros(parameters)
+        gain = np.zeros((count, unknowns, parameters))
+        level = np.zeros((count, unknowns))
         begin = 0
         for row, slopes in enumerate(runs.derivatives):
             readings = slice(begin, begin + slopes.shape[0])
@@ -89,10 +94,12 @@ class Equations:
             weighted_slopes = (slopes * weights[readings, None]).T
             products = weighted_slopes @ slopes
             pulls = weighted_slopes @ runs.residual_a[readings]
-            inner, across = products[own, own] + start_precision[row], products[own, others]
+            inner = products[own, own] + start_precision[row]
+            across = products[own, others]
             pull = pulls[own] + start_precision[row] @ start_pull[row]
             solution = shortest_solution(inner, np.column_stack([across, pull]))
-            gain[row], level[row] = solution[:, :-1], solution[:, -1]
+            gain[row] = solution[:, :-1]
+            level[row] = solution[:, -1]
             information += products[others, others] - across.T @ gain[row]
             right += pulls[others] - across.T @ level[row]
         return cls(information, right, gain, level)

@@ -97,7 +97,8 @@ def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
 
 def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     """Search again from other inductances where the current settles within a few samples."""
-    last, nodes = best.search, best.search.white_box.context_nodes
+    last = best.search
+    nodes = best.search.white_box.context_nodes
     values = dict(zip(nodes, best.fit.theta.tolist(), strict=True))
     interval_s = last.window.interval_s
     if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):

@@ -138,7 +138,8 @@ class WindowLearner:
         self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
         if self._is_ambiguous(window):
             self.covariance += SHARP**2 * np.eye(prior.size)
-            self.share, self.reach = np.zeros_like(prior), np.zeros_like(prior)
+            self.share = np.zeros_like(prior)
+            self.reach = np.zeros_like(prior)
         self.noise_a = fit.noise_a
         self.has_rivals = bool(fit.spread.any())
         if self.is_settled and is_full:
@@ -157,7 +158,8 @@ class WindowLearner:
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
         """Search from where the motor stands, and elsewhere where that was not the only end."""
-        box, starts = self._white_box, [self.theta]
+        box = self._white_box
+        starts = [self.theta]
         return fit_window(box, window, self._prior(), starts, tries_others=self.has_rivals)
 
     def _is_ambiguous(self, window: Window) -> bool:
@@ -196,7 +198,8 @@ class WindowLearner:
         other = yield from self._searched_anywhere(window)
         if self.is_settled and self.memory is not None and other is not None:
             self.counts['motor changes'] += 1
-            self.memory, self.is_new_motor = None, True
+            self.memory = None
+            self.is_new_motor = True
         self.is_settled = other is not None and not self._is_poor(other)
         return other
 
@@ -248,10 +251,13 @@ class WindowLearner:
 
     def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Take back arrays that :meth:`check` lets pass, and flags."""
-        self.is_settled, self.is_in_doubt = plain['settled'], False
-        self.logarithms, self.covariance = arrays['logarithms'], arrays['covariance']
+        self.is_settled = plain['settled']
+        self.is_in_doubt = False
+        self.logarithms = arrays['logarithms']
+        self.covariance = arrays['covariance']
         self.noise_a = float(arrays['noise'][0])
-        self.share, self.reach = arrays['share'], arrays['reach']
+        self.share = arrays['share']
+        self.reach = arrays['reach']
         self.memory = None
         if plain['remembers']:
             self.memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])

@@ -104,5 +104,6 @@ class WindowSchedule:
     @classmethod
     def restored(cls, plain: Mapping[str, int], place: int) -> WindowSchedule:
         """Take back what :meth:`state` gave, with the place of the newest sample."""
-        mark, begun_at = max(place + plain['mark'], 0), place + plain.get('begun', 0)
+        mark = max(place + plain['mark'], 0)
+        begun_at = place + plain.get('begun', 0)
         return cls(place, mark, place + plain['due'], begun_at, plain['wait'])

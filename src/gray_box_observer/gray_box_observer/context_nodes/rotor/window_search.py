@@ -83,7 +83,8 @@ class Accuracy:
     gain: float
 
 
-ROUGHLY, NEARLY = Accuracy(0.3, 0.3), Accuracy(3e-3, 1e-2)
+ROUGHLY = Accuracy(0.3, 0.3)
+NEARLY = Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 
@@ -124,7 +125,8 @@ class Search:
             LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
         )
         self.logarithms = np.clip(logarithms, self._lower, self._upper)
-        self.promised_gain, self.beyond = 0.0, self.logarithms
+        self.promised_gain = 0.0
+        self.beyond = self.logarithms
         self._leaves_out = False
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
@@ -184,7 +186,8 @@ class Search:
             runs = yield from self._run(self.logarithms, starts)
             if runs is None or self._scale(runs.residual_a) > scale:
                 return
-            self.starts, self._runs = starts, runs
+            self.starts = starts
+            self._runs = runs
 
     def _weights(self, scale: float) -> Array:
         return robust_weights(self._at.residual_a, scale, leaves_out=self._leaves_out)
@@ -218,7 +221,8 @@ class Search:
         self._leaves_out = False
         if (yield from self.descend(ROUGHLY, [(end.robust, end.fit) for end in ends])):
             return None
-        robust, self._leaves_out = self.logarithms, True
+        robust = self.logarithms
+        self._leaves_out = True
         if (yield from self.descend(NEARLY, [(end.fit.logarithms, end.fit) for end in ends])):
             return None
         fit = self.result()
@@ -226,7 +230,8 @@ class Search:
 
     def descend(self, accuracy: Accuracy, ends: Sequence[tuple[Array, Fit]] = ()) -> Pieces[bool]:
         """Step until nothing moves; tell whether that is where another search has ended."""
-        damping, idle = 1e-3, 0
+        damping = 1e-3
+        idle = 0
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -289,7 +294,9 @@ class Search:
             if runs is not None:
                 after = self._total(runs.residual_a, self.scale_a, logarithms, starts)
                 if after <= total + 1e-9 * abs(total):
-                    self.logarithms, self.starts, self._runs = logarithms, starts, runs
+                    self.logarithms = logarithms
+                    self.starts = starts
+                    self._runs = runs
                     easier = 0.1 if attempt == 0 else 1.0
                     return max(easier * damping, 1e-9), after
             damping = max(10.0 * damping, 1e-6)

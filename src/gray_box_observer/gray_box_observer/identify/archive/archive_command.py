@@ -139,7 +139,8 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     warned_count = sum(bool(result.warnings) for result in results)
     if warned_count:
         _say(f'warning: {warned_count} bags have warnings; --table and --json say which')
-    motors, digest = gather(results), digest_of(results)
+    motors = gather(results)
+    digest = digest_of(results)
     if options.table is not None:
         write_table(results, options.table)
     if options.json:

@@ -64,7 +64,8 @@ class ProcessEngine:
         self, work: Work, bags: Sequence[Path], places: Sequence[int], count: int
     ) -> Iterator[tuple[int, BagResult | None]]:
         """Let workers read the chosen bags; None for one held too often by a dying worker."""
-        queue, deaths = deque(places), Counter[int]()
+        queue = deque(places)
+        deaths = Counter[int]()
         while queue:
             with _pool(count) as pool:
                 for index, result in _read(pool, work, bags, queue, 2 * count):

@@ -82,7 +82,8 @@ class WindowTrainer:
 
     def _state(self) -> dict[str, Array]:
         """Everything but the network and its ranges that the next job depends on."""
-        rate, plateau = self._optimiser.param_groups[0]['lr'], self._plateau
+        rate = self._optimiser.param_groups[0]['lr']
+        plateau = self._plateau
         plain = {
             'rate': rate,
             'best': plateau.best,
@@ -109,7 +110,8 @@ class WindowTrainer:
         give_moments(self._optimiser, arrays)
         self._optimiser.param_groups[0]['lr'] = float(arrays['rate'])
         plateau = self._plateau
-        plateau.best, plateau.num_bad_epochs = float(arrays['best']), int(arrays['bad'])
+        plateau.best = float(arrays['best'])
+        plateau.num_bad_epochs = int(arrays['bad'])
         plateau.last_epoch = int(arrays['jobs'])
         self._random = random_state.unpack(arrays['random'])
 

@@ -44,7 +44,8 @@ def histories(white_box: MotorWhiteBox, job: Mapping[str, Any]) -> list[History]
 
 def newest_history(white_box: MotorWhiteBox, job: Mapping[str, Any]) -> History | None:
     """Return the last of :func:`histories`; None where there is hardly any since it began."""
-    first, end = int(_beginnings(job)[-1]), job['number'].size
+    first = int(_beginnings(job)[-1])
+    end = job['number'].size
     return _history(white_box, job, first, end) if end - first >= SHORTEST else None
 
 

@@ -254,7 +254,8 @@ class OnlineTraining:
         ):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
         residual = self._schedule.is_due(self.replay)
-        turn, motor_slice = self._turn, slice(self._turn, self._turn + 1)
+        turn = self._turn
+        motor_slice = slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
         idle = (
             self._nothing_to_gain(turn, theta[motor_slice], covariance[motor_slice])
@@ -304,7 +305,8 @@ class OnlineTraining:
         if (
             'input' in result and not Weights.from_arrays(result).finite
         ):  # the trainer begins anew from the network that runs
-            self._trainer_state, self._start_from = {}, self._network.start()
+            self._trainer_state = {}
+            self._start_from = self._network.start()
             return
         self._trainer_state = {
             name: array for name, array in result.items() if name.startswith('learning_')

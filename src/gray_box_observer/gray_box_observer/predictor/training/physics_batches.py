@@ -63,8 +63,10 @@ def free_run(weights: Weights, sequences: Sequences) -> tuple[Array, list[Relaxa
         form.
     """
     way = _courses(sequences)
-    state, memory = sequences.start_a, Memory.blank(sequences.start_a.size, weights.hidden)
-    predicted_a, intervals = np.empty_like(sequences.voltage_v), []
+    state = sequences.start_a
+    memory = Memory.blank(sequences.start_a.size, weights.hidden)
+    predicted_a = np.empty_like(sequences.voltage_v)
+    intervals = []
     for k in range(predicted_a.shape[1]):
         interval = relaxation(
             np, sequences.white_box, _at(way, k), state, sequences.interval_s[:, k]
@@ -77,7 +79,8 @@ def free_run(weights: Weights, sequences: Sequences) -> tuple[Array, list[Relaxa
 
 def exact_run(sequences: Sequences) -> Array:
     """Currents of the white box itself at the ends of the intervals, shape (sequence, time)."""
-    way, state = _courses(sequences), sequences.start_a
+    way = _courses(sequences)
+    state = sequences.start_a
     exact = np.empty_like(sequences.voltage_v)
     for k in range(exact.shape[1]):
         at = _at(way, k)

@@ -126,13 +126,15 @@ class PhysicsTrainer:
         }
         candidate = self._trainable.weights
         if self._better(candidate, own, now, job):
-            self._current_network, self._refusal_count = candidate, 0
+            self._current_network = candidate
+            self._refusal_count = 0
             answer |= self._current_network.arrays()
         else:
             self._refusal_count += 1
         is_settled = self._refusal_count >= self._rules.patience
         if is_settled:
-            self._trainable, self._refusal_count = None, 0
+            self._trainable = None
+            self._refusal_count = 0
         return {**answer, 'settled': is_settled, 'error': own.error(self._current_network)}
 
     def _state(self) -> dict[str, Array]:
@@ -156,10 +158,8 @@ class PhysicsTrainer:
         self._residual = ResidualTrainer(self._seed, self._rules.device)
         if 'random' not in arrays:
             return
-        self._random, self._refusal_count = (
-            random_state.unpack(arrays['random']),
-            int(arrays['refused']),
-        )
+        self._random = random_state.unpack(arrays['random'])
+        self._refusal_count = int(arrays['refused'])
         self._residual.restore(
             {name[9:]: array for name, array in arrays.items() if name.startswith('residual_')}
         )
@@ -199,7 +199,8 @@ class PhysicsTrainer:
     def _training_batch(self, job: Message, range_seen: OperatingRange) -> TrainingBatch:
         """Half of the lessons are of these motors, half of all: no regime is forgotten."""
         assert self._trainable is not None
-        weights, count = self._trainable.weights, self._rules.minibatch
+        weights = self._trainable.weights
+        count = self._rules.minibatch
         sequence_sets = [
             self._draw(self._random, job, range_seen, count),
             draw_family(self._random, count, LENGTH),

@@ -126,7 +126,8 @@ def _for_steps(steps: int) -> Iterator[float]:
 
 
 def _for_minutes(minutes: float) -> Iterator[float]:
-    start_s, whole_s = time.monotonic(), 60.0 * minutes
+    start_s = time.monotonic()
+    whole_s = 60.0 * minutes
     with tqdm(total=round(whole_s), desc='teaching', unit='s', disable=None) as bar:
         while (passed_s := time.monotonic() - start_s) < whole_s:
             bar.update(round(passed_s) - bar.n)

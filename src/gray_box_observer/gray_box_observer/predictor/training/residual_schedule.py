@@ -110,8 +110,10 @@ class ResidualSchedule:
 
     def job(self, replay: ReplayBuffer) -> dict[str, Any]:
         """Return a round's samples: segments, then newest samples outside all segments."""
-        self._last_round, self.anew = replay.total, False
-        parts, end = [], min(0, self._from)  # more may have been paired anew than had been counted
+        self._last_round = replay.total
+        self.anew = False
+        parts = []
+        end = min(0, self._from)  # more may have been paired anew than had been counted
         for segment in self._store.segments:
             joins = (
                 segment.first == end
@@ -144,11 +146,9 @@ class ResidualSchedule:
         check_arrays(arrays, rules)
         if not len(arrays['starts']):
             raise CheckpointError('starts is empty')
-        self._last_round, self._from, self.anew = (
-            int(arrays['asked']),
-            int(arrays['from']),
-            bool(arrays['anew']),
-        )
+        self._last_round = int(arrays['asked'])
+        self._from = int(arrays['from'])
+        self.anew = bool(arrays['anew'])
         self._theta = arrays['theta'].copy()
         count = min(
             len(self._starts), len(arrays['starts'])

@@ -210,10 +210,8 @@ class ResidualTrainer:
 
         now = _sizes(run)
         if self._trainable is None or self._sizes is None or _outgrown(self._sizes, now):
-            self._sizes, self._trainable = (
-                now,
-                TrainableResidual(INPUTS, HIDDEN, self._seed, self._device),
-            )
+            self._sizes = now
+            self._trainable = TrainableResidual(INPUTS, HIDDEN, self._seed, self._device)
         size, limit_a = self._sizes
         pace_s = float(np.median(run.interval_s))
         support = np.zeros((BINS, BINS))
@@ -226,7 +224,8 @@ class ResidualTrainer:
             cells(run.voltage_v / size[0])[:, is_training],
         )
         np.add.at(support, at, 1.0)
-        columns, targets = _features(run, pace_s), run.residual_a / limit_a
+        columns = _features(run, pace_s)
+        targets = run.residual_a / limit_a
         linear = LinearPart.learn(columns[:, is_training], targets[:, is_training])
         inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
         self._trainable.learn(
@@ -281,7 +280,8 @@ def worth_learning(residual: Array, predicted_a: Array) -> bool:
     if np.all(residual.std(axis=1) < SMALL * predicted_a.std(axis=1)):
         return False
     deviation = residual - residual.mean(axis=1, keepdims=True)
-    n, power = residual.shape[1], np.sum(deviation**2, axis=1)
+    n = residual.shape[1]
+    power = np.sum(deviation**2, axis=1)
     statistic = np.zeros(residual.shape[0])
     for lag in range(1, LAGS + 1):
         correlation = np.sum(deviation[:, lag:] * deviation[:, :-lag], axis=1) / np.maximum(
@@ -314,7 +314,9 @@ def _against_physics(
         physics_run = physics(history)
         if physics_run is None:
             continue
-        sequences, current_a, number = history.sequences, history.current_a, history.number
+        sequences = history.sequences
+        current_a = history.current_a
+        number = history.number
         anew = number == number[0]
         is_cut = anew & history.is_cut
         is_warm = (number >= number[0] + WARM) if history.is_cut else np.ones_like(anew)
@@ -335,7 +337,8 @@ def _against_physics(
 
 def _features(run: _Run, pace_s: float) -> Array:
     """What the linear part sees along the histories, shape (motor, time, FEATURES)."""
-    first, parts = np.flatnonzero(run.anew), []
+    first = np.flatnonzero(run.anew)
+    parts = []
     for begin, end in pairwise([*first.tolist(), run.anew.size]):
         voltage_v, speed, interval_s = (
             x[:, begin:end] for x in (run.voltage_v, run.speed_rad_s, run.interval_s)
@@ -353,10 +356,8 @@ def _features(run: _Run, pace_s: float) -> Array:
 def _outputs(correction: ResidualModel, run: _Run) -> Array:
     """What a correction says along the histories, by the code that streams, shape (motor, time)."""
     inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
-    memory, readout = (
-        Memory.blank(inputs.shape[0], correction.weights.hidden),
-        np.empty_like(run.voltage_v),
-    )
+    memory = Memory.blank(inputs.shape[0], correction.weights.hidden)
+    readout = np.empty_like(run.voltage_v)
     for k in range(inputs.shape[1]):
         memory = memory.cleared(np.full(inputs.shape[0], run.anew[k]))
         readout[:, k], memory = step(correction.weights, memory, inputs[:, k])

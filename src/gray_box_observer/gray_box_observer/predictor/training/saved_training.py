@@ -93,7 +93,8 @@ def check_job(arrays: Arrays) -> None:
     check_arrays(
         arrays, {'number': ArrayRule((None,), -MOST, MOST, WHOLE), 'theta': positive(1, None)}, JOB
     )
-    samples, parameters = arrays[f'{JOB}number'].size, arrays[f'{JOB}theta'].shape[1]
+    samples = arrays[f'{JOB}number'].size
+    parameters = arrays[f'{JOB}theta'].shape[1]
     signal: dict[str, Any] = {'shape': (1, samples), 'low': -LARGEST_SIGNAL, 'high': LARGEST_SIGNAL}
     rules = {
         'interval_s': ArrayRule((1, samples), 0.0, LONGEST_INTERVAL_S),

@@ -126,7 +126,8 @@ def draw_around(
         spread[motor] * random.standard_normal((count, theta.shape[1]))
     )
     parameters = np.clip(parameters, lower, upper)
-    low_v, top_v = np.full(count, limits_v[0]), np.full(count, limits_v[1])
+    low_v = np.full(count, limits_v[0])
+    top_v = np.full(count, limits_v[1])
     voltage_v = _levels(random, low_v, top_v, length)
     speed = np.zeros((count, length))
     if white_box.speed_measured:

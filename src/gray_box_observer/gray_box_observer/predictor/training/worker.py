@@ -15,7 +15,8 @@ def main() -> int:
     """Serve jobs until standard input closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     _give_way()
-    source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), 'wb')
+    source = sys.stdin.buffer
+    sink = os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # whatever a library prints must not reach the stream of results
     configuration = worker_messages.read(source)
     if configuration is None:

@@ -257,7 +257,8 @@ def notes(name: str, observer: Observer) -> list[str]:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
         where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
         if motor.white_box.has_rotor:
-            kind, where = 'the speed a hidden state', 'inertia and frictions'
+            kind = 'the speed a hidden state'
+            where = 'inertia and frictions'
         back_emf = float(motor.white_box.known.get('back_emf_constant', 0.0))
         sentences.append(
             f'Kb = {back_emf:g} V s/rad is taken as known, with {kind}: its error goes into '

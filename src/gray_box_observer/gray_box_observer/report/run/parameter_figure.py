@@ -151,7 +151,8 @@ def _truth_trace(
             return None
         times, values = np.append(times, max(span_s[1], times[-1])), np.append(values, values[-1])
     else:
-        times, values = np.array(span_s), np.full(2, parameter.truth)
+        times = np.array(span_s)
+        values = np.full(2, parameter.truth)
     return line(
         numbers(times, TIME_DIGITS),
         numbers(values * scale.factor),

@@ -176,11 +176,9 @@ def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
         empty = '<p class="empty">No estimate was made.</p>'
         return f'<article class="card"><header><h3>{name}</h3></header>{empty}</article>'
     scale = parameter_scale(parameter)
-    value, std, verdict = (
-        float(parameter.value[-1]),
-        float(parameter.std[-1]),
-        parameter.verdict[-1],
-    )
+    value = float(parameter.value[-1])
+    std = float(parameter.std[-1])
+    verdict = parameter.verdict[-1]
     text, deviation = value_and_std(value, std, scale)
     unit = f' <span class="unit">{escape(scale.label)}</span>' if scale.label else ''
     spread = f' <span class="std">± {deviation}</span>' if deviation is not None else ''

@@ -52,7 +52,8 @@ def drift_words(drift: Drift | None) -> str:
     """
     if drift is None or drift.mean == 0.0:
         return 'not known'
-    share, std = drift.per_s / abs(drift.mean), drift.per_s_std / abs(drift.mean)
+    share = drift.per_s / abs(drift.mean)
+    std = drift.per_s_std / abs(drift.mean)
     per_s, unit = (MONTH_S, 'in 30 days') if abs(share) * DAY_S < 0.1 else (DAY_S, 'a day')
     return f'{percent(share * per_s, has_sign=True)} ± {percent(std * per_s)} {unit}'
 
@@ -63,7 +64,8 @@ def _headline(history: ArchiveHistory) -> str:
 
 def _card(trend: ParameterTrend) -> str:
     """Return a parameter's latest identified estimate, else its latest, and its drift."""
-    scale, identified_places = trend_scale(trend), np.flatnonzero(trend.identified)
+    scale = trend_scale(trend)
+    identified_places = np.flatnonzero(trend.identified)
     latest = int(identified_places[-1]) if identified_places.size else len(trend.value) - 1
     text, deviation = value_and_std(float(trend.value[latest]), float(trend.std[latest]), scale)
     spread = f' <span class="std">± {deviation}</span>' if deviation is not None else ''

@@ -103,7 +103,8 @@ class BagPlayer(Node):
         self._stop = stop
         self._is_closing = False
         values = declare(self, PLAYER_PARAMETERS, priority_values)
-        path, is_paused = values['bag'], values['paused']
+        path = values['bag']
+        is_paused = values['paused']
         topics = [name for name in values['topics'] if name]
         self._plan = _Plan(**{field.name: values[field.name] for field in fields(_Plan)})
         if not (bag or path):
@@ -236,7 +237,8 @@ class BagPlayer(Node):
     def _wait_for_readers(self) -> bool:
         """Wait until enough readers are matched; False if the end was asked for before."""
         is_own_wait = self._plan.wait_for_subscribers == OWN_WAIT
-        reader_count, patience_s = abs(self._plan.wait_for_subscribers), self._plan.wait_timeout_s
+        reader_count = abs(self._plan.wait_for_subscribers)
+        patience_s = self._plan.wait_timeout_s
         signals = {
             self.resolve_topic_name(t.name, only_expand=True)
             for t in (observed.VOLTAGE, observed.TORQUE)
@@ -244,7 +246,8 @@ class BagPlayer(Node):
         awaited_publishers = [p for name, p in self._publishers_by_topic.items() if name in signals]
         enough = any if is_own_wait and not awaited_publishers else all
         awaited_publishers = awaited_publishers or list(self._publishers_by_topic.values())
-        began_s, is_told = time.monotonic(), False
+        began_s = time.monotonic()
+        is_told = False
         while not (self._stop.is_requested or self._is_closing):
             counts = {
                 publisher.topic_name: publisher.get_subscription_count()
@@ -289,7 +292,8 @@ class BagPlayer(Node):
 
     def _replay_once(self, start_ns: int) -> bool:
         """Send every message once; False if the end was asked for before."""
-        pacer, publishers = self._pacer, self._publishers_by_topic
+        pacer = self._pacer
+        publishers = self._publishers_by_topic
         tick = self._tick if self._clock_publisher is not None else None
         unconfirmed_counts = dict.fromkeys(publishers, 0)
         pacer.restart(start_ns)

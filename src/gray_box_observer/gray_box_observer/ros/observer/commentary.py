@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 from gray_box_observer.context_nodes import Estimate, Verdict
@@ -34,6 +35,25 @@ DOUBTFUL = (Verdict.MISFIT, Verdict.IMPLAUSIBLE)
 Verdicts = tuple[Verdict, ...]
 Why = Callable[[Iterable[str]], str]
 """Says why nothing comes of these signals; empty where that is not known."""
+
+
+@dataclass
+class Account:
+    """What was seen and told of an observer since it knew nothing.
+
+    Attributes:
+        seen_motors: motors of which samples have come.
+        found_motors: those of them that were told.
+        verdicts: as they were told last, by motor.
+        speed_sources: likewise.
+        effects: likewise.
+    """
+
+    seen_motors: set[str] = field(default_factory=set)
+    found_motors: set[str] = field(default_factory=set)
+    verdicts: dict[str, Verdicts] = field(default_factory=dict)
+    speed_sources: dict[str, str] = field(default_factory=dict)
+    effects: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 class Commentary:
@@ -84,11 +104,7 @@ class Commentary:
 
     def forget(self) -> None:
         """Begin anew with an observer that knows nothing."""
-        self._seen_motors: set[str] = set()
-        self._found_motors: set[str] = set()
-        self._verdicts: dict[str, Verdicts] = {}
-        self._speed_sources: dict[str, str] = {}
-        self._effects: dict[str, tuple[str, ...]] = {}
+        self._account = Account()
 
     def look(self, observer: Observer, traffic: Traffic) -> None:
         """Take in what has come since the last look, and tell what there is to tell.
@@ -100,7 +116,7 @@ class Commentary:
         now_s = self._clock()
         for motor, of_motor in traffic.motors.items():
             if of_motor.samples:
-                self._seen_motors.add(motor)
+                self._account.seen_motors.add(motor)
             for signal, count in of_motor.messages.items():
                 if count:
                     self._heard_s[signal, motor] = now_s
@@ -129,10 +145,8 @@ class Commentary:
             missing_count: samples that never came, by the stamps.
         """
         counts = [observer.counts(motor) for motor in self._motors]
-        used_count, rejected_count = (
-            sum(c.used_count for c in counts),
-            sum(c.rejected.total() for c in counts),
-        )
+        used_count = sum(c.used_count for c in counts)
+        rejected_count = sum(c.rejected.total() for c in counts)
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
         line = (
@@ -158,9 +172,9 @@ class Commentary:
         return '; '.join([line, *verdict_lines])
 
     def _newly_found(self) -> list[str]:
-        new = self._seen_motors - self._found_motors
+        new = self._account.seen_motors - self._account.found_motors
         motors = [motor for motor in self._motors if motor in new]
-        self._found_motors |= new
+        self._account.found_motors |= new
         return [f'found {motors_in_words(motors)}: samples come'] if motors else []
 
     def _choices(self, observer: Observer) -> list[str]:
@@ -175,16 +189,16 @@ class Commentary:
         """What the data have chosen for one motor since it was told last."""
         phrases = []
         choice = motor.observer.form_choice
-        if choice.is_open and motor.added_effects != self._effects.get(name, ()):
-            self._effects[name] = motor.added_effects
+        if choice.is_open and motor.added_effects != self._account.effects.get(name, ()):
+            self._account.effects[name] = motor.added_effects
             effect_names = ' and '.join(motor.added_effects) or 'no effects'
             phrases.append(f'{name}: {effect_names} added: {motor.effects_reason}')
         if not choice.speed_is_open:
             return phrases
         source = motor.white_box.speed_source
-        before = self._speed_sources.setdefault(name, 'torque_constant')
+        before = self._account.speed_sources.setdefault(name, 'torque_constant')
         if source != before:
-            self._speed_sources[name] = source
+            self._account.speed_sources[name] = source
             phrases.append(f'{name}: speed from {source}: {motor.speed_reason}')
         return phrases
 
@@ -194,13 +208,11 @@ class Commentary:
         for names, estimate in observer.group_estimates():
             initial_verdicts = (Verdict.UNEXCITED,) * len(estimate.parameters)
             for place, name in enumerate(names):
-                verdicts, before = (
-                    estimate.verdicts[place],
-                    self._verdicts.get(name, initial_verdicts),
-                )
+                verdicts = estimate.verdicts[place]
+                before = self._account.verdicts.get(name, initial_verdicts)
                 if verdicts != before:
                     before = before if len(before) == len(verdicts) else initial_verdicts
-                    self._verdicts[name] = verdicts
+                    self._account.verdicts[name] = verdicts
                     places = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
                     changes.append((name, estimate.for_motor(place), places))
         doubtful = any(
@@ -240,7 +252,9 @@ class Commentary:
         back = [key for key in self._missing_signals if now_s - self._heard_s[key] < PERIOD_S]
         self._missing_signals.difference_update(back)
         reported_signals = [
-            (signal, motor) for signal, motor in back if motor in self._found_motors or not motor
+            (signal, motor)
+            for signal, motor in back
+            if motor in self._account.found_motors or not motor
         ]
         phrases = []
         for motor_list, names in _by_motors(reported_signals).items():
@@ -276,7 +290,8 @@ def _described(estimate: Estimate, places: Iterable[int]) -> str:
     phrases = []
     std = estimate.std
     for j in places:
-        parameter, verdict = estimate.parameters[j], estimate.verdicts[0][j]
+        parameter = estimate.parameters[j]
+        verdict = estimate.verdicts[0][j]
         value = (
             f'{words_of(estimate.value[0, j])} +- {words_of(std[0, j], ".2g")} {parameter.unit} '
         )

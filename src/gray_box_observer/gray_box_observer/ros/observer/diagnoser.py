@@ -63,7 +63,8 @@ class Diagnoser:
             observer: of the node; None where it is not configured.
             message_input: likewise.
         """
-        array, traffic = DiagnosticArray(), None
+        array = DiagnosticArray()
+        traffic = None
         clock = self._node.get_clock()
         now = clock.now()
         array.header.stamp = now.to_msg()

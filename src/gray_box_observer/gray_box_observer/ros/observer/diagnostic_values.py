@@ -44,7 +44,8 @@ def values_of(motor: str, now: Situation, assumption_texts: Mapping[str, str]) -
     values['delay applied [s]'] = f'{delay.applied_s:.6g}'
     values['delay verdict'] = delay.verdict.value
     values.update({name: str(count) for name, count in view.counters.items()})
-    alarm, training = view.alarm, view.training
+    alarm = view.alarm
+    training = view.training
     if alarm is not None:
         alarm_state = (
             'raised' if alarm.is_raised else 'armed' if alarm.is_armed else 'learning the residual'
@@ -62,7 +63,8 @@ def values_of(motor: str, now: Situation, assumption_texts: Mapping[str, str]) -
 
 
 def _counts(motor: str, now: Situation) -> dict[str, str]:
-    pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
+    pairing = now.observer.counts(motor)
+    rhythm = now.meter.rhythms.get(motor)
     rejections: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
     for counts in now.message_input.rejection_counts.values():
         rejections.update({reason.value: n for reason, n in counts.items()})
@@ -91,7 +93,8 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
 
 def _balance(motor: str, now: Situation) -> dict[str, str]:
     """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
-    pairing, message_input = now.observer.counts(motor), now.message_input
+    pairing = now.observer.counts(motor)
+    message_input = now.message_input
     values = {'voltages taken': str(pairing.taken_voltage)}
     for name in ('voltage', 'torque'):
         values[f'{name} topic: messages'] = str(message_input.message_counts[name])

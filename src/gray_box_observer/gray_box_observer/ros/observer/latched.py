@@ -58,13 +58,15 @@ class LatchedTopic:
         """Leave nothing for late subscribers."""
         if self._holds_value:
             self._node.destroy_lifecycle_publisher(self._publisher)
-            self._publisher, self._holds_value = None, False
+            self._publisher = None
+            self._holds_value = False
 
     def close(self) -> None:
         """Take the topic away for good."""
         if self._publisher is not None:
             self._node.destroy_lifecycle_publisher(self._publisher)
-            self._publisher, self._holds_value = None, False
+            self._publisher = None
+            self._holds_value = False
 
     @property
     def is_active(self) -> bool:

@@ -109,7 +109,8 @@ def value_template() -> MessageTemplate:
 
 def covariance_template(parameters: tuple[Parameter, ...]) -> MessageTemplate:
     """Return the template of a covariance: square, row-major, labelled by parameter names."""
-    label, n = ','.join(p.name for p in parameters), len(parameters)
+    label = ','.join(p.name for p in parameters)
+    n = len(parameters)
 
     def make(numbers: array[float]) -> Float64MultiArray:
         message = Float64MultiArray(data=numbers)

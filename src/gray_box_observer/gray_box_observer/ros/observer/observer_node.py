@@ -342,13 +342,15 @@ class ObserverNode(LifecycleNode):
             self._session.run_deferred()
             path = action(self._session.observer)
         except GrayBoxError as error:
-            response.success, response.message = False, str(error)
+            response.success = False
+            response.message = str(error)
             self.get_logger().warning(
                 f'not {words.partition(" ")[0]}: {printable(response.message)}'
             )
             return response
         self._announce(is_new=action == self._keeper.load)
-        response.success, response.message = True, f'{words} {path}'
+        response.success = True
+        response.message = f'{words} {path}'
         self.get_logger().info(response.message)
         return response
 

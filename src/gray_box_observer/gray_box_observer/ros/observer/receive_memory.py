@@ -87,10 +87,8 @@ def _faults() -> tuple[int, int]:
     """Return how many pages this thread, and all together, have touched first."""
     if resource is None or not hasattr(resource, 'RUSAGE_THREAD'):
         return 0, 0
-    own, total = (
-        resource.getrusage(resource.RUSAGE_THREAD),
-        resource.getrusage(resource.RUSAGE_SELF),
-    )
+    own = resource.getrusage(resource.RUSAGE_THREAD)
+    total = resource.getrusage(resource.RUSAGE_SELF)
     return own.ru_minflt, total.ru_minflt
 
 

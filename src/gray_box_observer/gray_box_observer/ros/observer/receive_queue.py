@@ -162,7 +162,8 @@ class ReceiveQueue:
 
     def _tell(self, depth: int) -> None:
         """Log what is done, and what it costs."""
-        topic, logger = self._topic, self._node.get_logger()
+        topic = self._topic
+        logger = self._node.get_logger()
         if depth > self._depth:
             logger.info(f'the queue of {topic} holds {depth} messages again')
             return

@@ -70,11 +70,13 @@ class Outputs:
         self._speed_std: dict[str, LatchedTopic] = {}
         self._parameters: dict[str, ParameterTopics] = {}
         self._covariances: dict[str, MessageTemplate] = {}
-        self._value, self._is = value_template(), yes_and_no()
+        self._value = value_template()
+        self._is = yes_and_no()
         self._followed_parameters: dict[str, tuple[Parameter, ...]] = {}
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
-        self._torques, self._speeds = JointMessages(), JointMessages('velocity')
+        self._torques = JointMessages()
+        self._speeds = JointMessages('velocity')
         self._speed = self._create(node, topics.SPEED)
         alone = len(configuration.motors) < configuration['group_from']
         for m, motor in motors.items():
@@ -224,7 +226,8 @@ class Outputs:
             table[at] = np.stack([estimate.value, estimate.std], axis=-1)
         table[~np.isfinite(table).all(axis=-1)] = NOTHING
         message = Float64MultiArray(data=array('d', table.tobytes()))
-        labels, stride = (','.join(rows), ','.join(columns), 'value,std'), table.size
+        labels = (','.join(rows), ','.join(columns), 'value,std')
+        stride = table.size
         for label, size in zip(labels, table.shape, strict=True):
             message.layout.dim.append(MultiArrayDimension(label=label, size=size, stride=stride))
             stride //= size

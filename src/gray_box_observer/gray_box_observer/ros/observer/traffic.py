@@ -124,7 +124,8 @@ class TrafficMeter:
         )
 
     def _motor(self, motor: str, observer: Observer, unread: Counter[Rejection]) -> MotorTraffic:
-        pairing, view = observer.counts(motor), observer.motors.get(motor)
+        pairing = observer.counts(motor)
+        view = observer.motors.get(motor)
         counters = (
             None
             if view is None

@@ -87,7 +87,8 @@ class SignalListener:
             ) -> None:
                 view = decode(data)
                 if rate_limit.is_kept(view.stamp_ns):
-                    names, values = names_of(view) or (), getattr(view, field)
+                    names = names_of(view) or ()
+                    values = getattr(view, field)
                     if len(names) == len(values):
                         self._courses.add(observer, kind, names, values, view.stamp_ns)
 

@@ -108,7 +108,8 @@ class WatchNode(Node):
         observers = self.state.observers.values()
         count = len(observers) + sum(len(observer.motors) for observer in observers)
         if count != self._known_count:
-            self._known_count, self._settled_s = count, now_s + SETTLE_S
+            self._known_count = count
+            self._settled_s = now_s + SETTLE_S
         is_late = now_s - self._started_s > self._timeout_s
         is_all = self._listener.has_heard_all() and is_complete(self.state)
         is_settled = is_all and now_s > self._settled_s

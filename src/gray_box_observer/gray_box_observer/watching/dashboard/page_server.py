@@ -147,7 +147,8 @@ class PageServer:
             self._is_ready.set()
 
     async def _serve(self) -> None:
-        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self._end = asyncio.Event()
         server = _BoundedServer(
             make_application(self._source),
             max_header_size=MAX_HEADER_BYTES,
