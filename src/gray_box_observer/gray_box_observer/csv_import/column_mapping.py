@@ -53,7 +53,8 @@ class MotorColumns:
         constant = self.torque_constant
         if self.current and (constant is None or not (math.isfinite(constant) and constant > 0)):
             raise BagError(
-                f'torque_constant is {constant}, expected the positive number of N m / A'
+                f'torque_constant is {constant}, expected the positive number of N m / A that a '
+                "current needs, such as 'torque_constant=0.05' among --columns"
             )
 
 
