@@ -40,6 +40,7 @@ from demo_sources import (
     write_parameters,
 )
 
+from gray_box_observer.safe_io.command_parser import CommandParser
 from gray_box_observer.safe_io.printable import printable
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -52,7 +53,7 @@ POLL_S = 0.1
 
 def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; refuses what cannot be used with exit code 2."""
-    parser = argparse.ArgumentParser(prog='demo', description=(__doc__ or '').split('\n', 1)[0])
+    parser = CommandParser(prog='demo', description=(__doc__ or '').split('\n', 1)[0])
     parser.add_argument(
         '--duration', type=_positive, default=60.0, metavar='S', help='seconds (default 60)'
     )

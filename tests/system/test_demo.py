@@ -227,6 +227,7 @@ def test_no_process_and_no_child_of_one_is_left_behind(processes: ModuleType, tm
         (['--duration', 'soon'], "got 'soon'"),
         (['--duration', '1_0'], "got '1_0'"),
         (['--bag', 'missing_bag'], 'missing_bag does not exist'),
+        (['--bag', '\x1b[31mred'], '\\x1b[31mred does not exist'),
         (['--params', '/dev/null'], '/dev/null is no regular file'),
     ],
 )

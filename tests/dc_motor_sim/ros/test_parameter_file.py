@@ -26,9 +26,14 @@ def check(path: Path, text: str) -> None:
         ('{? [a] : 1}', 'a key that is no word'),
         ('{seed: 1}\n---\na: 1', 'line 3: a second document begins'),
         ('{seed: [}', 'line 2: '),
+        ('{seed: &a 1}', 'line 2: an anchor (a); write the values out'),
+        ('{a: 1, b: *c}', 'line 2: an alias (c); write the values out'),
+        ('{<<: {seed: 1}}', 'line 2: a merge key (<<); write the values out'),
+        ('{seed: !!int 1}', 'line 2: the tag tag:yaml.org,2002:int; write the plain value'),
+        ('!!str {seed: 1}', 'line 2: the tag tag:yaml.org,2002:str; write the plain value'),
     ],
 )
-def test_what_stands_twice_is_refused_by_file_and_name(
+def test_what_is_no_plain_data_or_stands_twice_is_refused_by_file_and_name(
     tmp_path: Path, parameters: str, complaint: str
 ) -> None:
     path = tmp_path / 'some.yaml'
@@ -43,7 +48,7 @@ def test_sections_may_say_the_same_and_lists_hold_what_they_like(tmp_path: Path)
     check(
         tmp_path / 'some.yaml',
         '/**:\n  ros__parameters: {seed: 1, m: {resistance: 1.0}, m.inductance: 1.0}\n'
-        'motor_sim:\n  ros__parameters: {seed: 2, motors: [a, a], schedule: [{a: 1}, {a: 1}]}\n'
+        'motor_sim:\n  ros__parameters: {seed: 2, motors: [a, !!str 1], schedule: [{a: 1}, {a: 1}]}\n'
         'robot: {motor_sim: {ros__parameters: {seed: 3}}}\n',
     )
     check(tmp_path / 'empty.yaml', '')

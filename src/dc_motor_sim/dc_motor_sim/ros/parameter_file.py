@@ -18,6 +18,10 @@ DEEPEST = 32
 
 _PARAMETERS = 'ros__parameters'
 
+_TEXT_TAG = 'tag:yaml.org,2002:str'
+_PLAIN_TAGS = (None, '!')
+_MERGE_KEY = '<<'
+
 _PARSER: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 
@@ -39,7 +43,9 @@ class _Open:
 
 
 def check(path: str) -> None:
-    """Refuse deep nesting, second documents, and parameters that stand twice in a section.
+    """Refuse what is more than plain data, and parameters that stand twice in a section.
+
+    More than plain data are anchors, aliases, merge keys, tags, second documents and deep nesting.
 
     Raises:
         ConfigurationError: One line that names the file, the line and what is wrong there.
@@ -48,6 +54,8 @@ def check(path: str) -> None:
     document_count = 0
     try:
         for event in yaml.parse(Path(path).read_bytes(), Loader=_PARSER):
+            if isinstance(event, yaml.NodeEvent):
+                _refuse_reference(path, event)
             if isinstance(event, yaml.DocumentStartEvent):
                 document_count += 1
                 if document_count > 1:
@@ -61,8 +69,6 @@ def check(path: str) -> None:
                 nodes.pop()
             elif isinstance(event, yaml.ScalarEvent) and nodes[-1].keys is not None:
                 _take(path, nodes[-1], event)
-            elif isinstance(event, yaml.AliasEvent):
-                nodes[-1].key = None  # rcl refuses it
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f'line {mark.line + 1}: ' if mark is not None else ''
@@ -71,6 +77,16 @@ def check(path: str) -> None:
         ) from None
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigurationError(f'parameter file {path}: {error}') from None
+
+
+def _refuse_reference(path: str, event: yaml.NodeEvent) -> None:
+    """Refuse whatever makes a node more than the data that is written there."""
+    if event.anchor is not None:
+        kind = 'an alias' if isinstance(event, yaml.AliasEvent) else 'an anchor'
+        raise _refusal(path, event, f'{kind} ({event.anchor}); write the values out')
+    tag = getattr(event, 'tag', None)
+    if tag not in _PLAIN_TAGS and not (tag == _TEXT_TAG and isinstance(event, yaml.ScalarEvent)):
+        raise _refusal(path, event, f'the tag {tag}; write the plain value')
 
 
 def _opened(path: str, outer: _Open, event: yaml.CollectionStartEvent) -> _Open:
@@ -94,6 +110,8 @@ def _take(path: str, node: _Open, event: yaml.ScalarEvent) -> None:
     assert node.keys is not None
     if node.key is None:
         node.key = str(event.value)
+        if node.key == _MERGE_KEY and event.implicit[0]:
+            raise _refusal(path, event, f'a merge key ({_MERGE_KEY}); write the values out')
         if node.key in node.keys:
             raise _refusal(path, event, f'the key {node.above}{node.key} stands twice')
         node.keys.add(node.key)
