@@ -48,8 +48,8 @@ def test_sections_may_say_the_same_and_lists_hold_what_they_like(tmp_path: Path)
     check(
         tmp_path / 'some.yaml',
         '/**:\n  ros__parameters: {seed: 1, m: {resistance: 1.0}, m.inductance: 1.0}\n'
-        'motor_sim:\n  ros__parameters: {seed: 2, motors: [a, !!str 1], schedule: [{a: 1}, {a: 1}],\n'
-        '    of_another: ["<<"]}\n'
+        'motor_sim:\n  ros__parameters: {seed: 2, motors: [a, !!str 1], \n'
+        '    schedule: [{a: 1}, {a: 1}], of_another: ["<<"]}\n'
         'robot: {motor_sim: {ros__parameters: {seed: 3}}}\n',
     )
     check(tmp_path / 'empty.yaml', '')
