@@ -184,7 +184,7 @@ def test_the_search_goes_on_where_nobody_waits_for_an_estimate_and_still_where_s
     def counted(self: DelayWatch, *arguments: Any) -> Any:
         pieces = search(self, *arguments)
         while True:
-            worked.append(self._count)
+            worked.append(self._progress.count)
             try:
                 next(pieces)
             except StopIteration as end:

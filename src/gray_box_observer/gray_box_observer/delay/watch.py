@@ -128,6 +128,29 @@ class _Found:
         return abs(self.delay_s - delay_s) < max(STDS * self.std_s, WORTH * self.interval_s)
 
 
+@dataclass(slots=True)
+class _Progress:
+    """How far the question has come in one signal history.
+
+    Attributes:
+        restarts: number of the history.
+        count: samples of it.
+        ask_at: count from which it is asked next.
+        refine_at: count before which no fine search follows one in vain.
+        is_put_off: whether the last piece of work has waited for a result to go out.
+        work: the search under way.
+        before: outcome of the search before, where the next one has to agree with it.
+    """
+
+    restarts: int
+    count: int = 0
+    ask_at: int = FIRST
+    refine_at: int = 0
+    is_put_off: bool = False
+    work: Generator[None, None, _Found | None] | None = None
+    before: _Found | None = None
+
+
 class DelayWatch:
     """Asks for the delay of one motor.
 
@@ -156,22 +179,8 @@ class DelayWatch:
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
         self.estimate = DelayEstimate(applied_s, is_estimated)
-        self._dropped_count = 0
-        self._count = 0
-        self._restart(0)
-
-    def _restart(self, restarts: int) -> None:
-        """Begin a new signal history; what was found stays."""
-        self._restarts = restarts
-        self._dropped_count += (
-            self._count
-        )  # samples that were learnt and are in no history any more
-        self._count = 0
-        self._next = FIRST
-        self._refine_at = 0  # samples before which no fine search follows one in vain
-        self._put_off = False
-        self._work: Generator[None, None, _Found | None] | None = None
-        self._before: _Found | None = None
+        self._dropped_count = 0  # samples that were learnt and are in no history any more
+        self._progress = _Progress(0)
 
     def update(
         self,
@@ -193,29 +202,31 @@ class DelayWatch:
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
         """
-        if history.restarts != self._restarts:
-            self._restart(history.restarts)
-        self._count += samples
-        self._put_off = is_awaited and not self._put_off
-        if self._put_off:
+        if history.restarts != self._progress.restarts:  # what was found stays
+            self._dropped_count += self._progress.count
+            self._progress = _Progress(history.restarts)
+        progress = self._progress
+        progress.count += samples
+        progress.is_put_off = is_awaited and not progress.is_put_off
+        if progress.is_put_off:
             return None
-        if self._work is None:
-            if self._count < self._next:
+        if progress.work is None:
+            if progress.count < progress.ask_at:
                 return None
-            self._next = self._count + min(self._count // 4, LONGEST_WAIT)
-            self._work = self._search(history, stamp_ns)
+            progress.ask_at = progress.count + min(progress.count // 4, LONGEST_WAIT)
+            progress.work = self._search(history, stamp_ns)
         try:
             with np.errstate(all='ignore'):  # absurd samples; results are checked
-                next(self._work)
+                next(progress.work)
         except StopIteration as end:
-            self._work = None
+            progress.work = None
             return None if end.value is None else self._judge(end.value)
         return None
 
     @property
     def searching(self) -> bool:
         """Whether a search is under way."""
-        return self._work is not None
+        return self._progress.work is not None
 
     def _search(
         self, history: SignalHistory, stamp_ns: int
@@ -244,9 +255,9 @@ class DelayWatch:
             return None
         if not self._worth_refining(coarse, start_s, interval_s):
             return _Found(applied_s, math.nan, 0.0, interval_s, True)
-        if self._count < self._refine_at and not self.estimate.is_estimated:
+        if self._progress.count < self._progress.refine_at and not self.estimate.is_estimated:
             return None
-        self._refine_at = 2 * self._count  # unless it brings news
+        self._progress.refine_at = 2 * self._progress.count  # unless it brings news
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
         if not math.isfinite(best.delay_s + best.std_s):
@@ -263,7 +274,7 @@ class DelayWatch:
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
         estimate = self.estimate
-        is_early = self._count <= 2 * TORQUES
+        is_early = self._progress.count <= 2 * TORQUES
         if estimate.is_estimated and is_early:
             return True
         if estimate.verdict is DelayVerdict.UNDECLARED and not is_early:
@@ -295,7 +306,8 @@ class DelayWatch:
 
     def _judge(self, result: _Found) -> float | None:
         """Compare the outcome with the delay in force; two searches must agree on another one."""
-        estimate, before, self._before = self.estimate, self._before, None
+        estimate = self.estimate
+        before, self._progress.before = self._progress.before, None
         if math.isnan(result.std_s):
             if estimate.verdict in (DelayVerdict.UNKNOWN, DelayVerdict.SUSPECTED):
                 self.estimate = replace(estimate, verdict=DelayVerdict.CONFIRMED)
@@ -306,12 +318,12 @@ class DelayWatch:
             )
         if not result.inside or result.evidence < EVIDENCE:
             return None
-        self._before = result
+        self._progress.before = result
         near_s = result.interval_s + STDS * math.hypot(
             result.std_s, 0.0 if before is None else before.std_s
         )
         if before is None or abs(result.delay_s - before.delay_s) > near_s:
-            self._refine_at = 0  # what is news is asked again soon
+            self._progress.refine_at = 0  # what is news is asked again soon
             if estimate.verdict is not DelayVerdict.UNDECLARED:
                 self.estimate = replace(estimate, verdict=DelayVerdict.SUSPECTED)
             return None
@@ -323,7 +335,7 @@ class DelayWatch:
                 verdict=DelayVerdict.UNDECLARED,
             )
             return None
-        self._before = None
+        self._progress.before = None
         return self._apply(result)
 
     def _agree(self, result: _Found) -> float | None:
@@ -347,7 +359,7 @@ class DelayWatch:
         if (
             sharper
             and self.estimate.applied_s != 0.0
-            and self._dropped_count <= self._count <= TORQUES
+            and self._dropped_count <= self._progress.count <= TORQUES
         ):
             return self._apply(result)
         self.estimate = replace(
@@ -376,7 +388,7 @@ class DelayWatch:
             'std_s': None if math.isnan(estimate.std_s) else estimate.std_s,
             'verdict': estimate.verdict.name,
             'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
-            'learnt': self._dropped_count + self._count,
+            'learnt': self._dropped_count + self._progress.count,
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
