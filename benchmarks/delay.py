@@ -136,12 +136,10 @@ def main() -> int:
             flush=True,
         )
         total_hours += hours * len(none)
-        flags, suspicions, delays, hits = (
-            flags + flagged,
-            suspicions + suspected,
-            delays + len(found),
-            hits + hit,
-        )
+        flags = flags + flagged
+        suspicions = suspicions + suspected
+        delays = delays + len(found)
+        hits = hits + hit
         errors += normalised
         alarms += changed
     share = hits / delays

@@ -42,9 +42,10 @@ the others."""
 
 
 NO_WORSE = 1.01
+"""Largest error after coming back, over that of the white box: with perfect physics."""
+
 STILL_KNOWN = 0.7
-"""Largest error after coming back, over that of the white box: with perfect physics, and with
-something it lacks."""
+"""The same with something that it lacks."""
 
 
 @dataclass(frozen=True, slots=True)

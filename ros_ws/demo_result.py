@@ -149,7 +149,8 @@ def prediction_scores(bag: Path) -> dict[str, dict[str, float | int | None]]:
             view = decode(message.data)
             courses = torque if kind == 'torque' else predicted
             if kind == 'torque':
-                newest_ns, first_ns = view.stamp_ns, first_ns or view.stamp_ns
+                newest_ns = view.stamp_ns
+                first_ns = first_ns or view.stamp_ns
             for name, value in zip(view.names, view.effort, strict=True):
                 if kind == 'torque' or name in since_ns:  # the form may change with the verdicts
                     courses.setdefault(name, {})[view.stamp_ns] = value

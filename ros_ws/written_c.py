@@ -233,6 +233,6 @@ def _text(node: Written, names: Mapping[Written, str], closely: int = 0) -> str:
     if node.text not in BINDING:
         return node.text.format(*(_text(operand, names) for operand in node.operands))
     binding = BINDING[node.text]
-    (left, right) = node.operands
+    left, right = node.operands
     text = f'{_text(left, names, binding)} {node.text} {_text(right, names, binding + 1)}'
     return f'({text})' if binding < closely else text

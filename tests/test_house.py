@@ -47,7 +47,7 @@ PAIRS = (
     'nanoseconds seconds', 'std value', 'stds values', 'x y',
 )  # fmt: skip
 """Words that belong together in one assignment, in alphabetical order."""
-UNITS = frozenset(('a', 'count', 'is', 'nm', 'ns', 'of', 's', 'the', 'v'))
+FILLERS = frozenset(('a', 'count', 'is', 'nm', 'ns', 'of', 's', 'the', 'v'))
 """Words of names that relate nothing."""
 
 
@@ -181,7 +181,7 @@ def test_no_binding_is_named_by_a_bare_participle() -> None:
 
 def _are_related(names: list[str]) -> bool:
     """Tell whether names share a word or are a pair of the field; letters alone are algebra."""
-    words = [set(name.strip('_').lower().split('_')) - UNITS for name in names]
+    words = [set(name.strip('_').lower().split('_')) - FILLERS for name in names]
     pairs = {' '.join(sorted(both)) for both in itertools.product(*words[:2])}
     is_pair = len(names) == 2 and not pairs.isdisjoint(PAIRS)
     return is_pair or bool(set.intersection(*words)) or all(len(n.strip('_')) == 1 for n in names)
@@ -200,12 +200,23 @@ def packed_assignments(tree: ast.Module) -> Iterator[tuple[str, int]]:
         if len(node.targets) > 1 or not isinstance(target, ast.Tuple):
             continue
         places = [ast.unparse(place) for place in target.elts]
-        parts = {ast.unparse(p) for p in ast.walk(node.value) if isinstance(p, ast.expr)}
-        if parts.isdisjoint(places) and not _are_related([p.split('.')[-1] for p in places]):
+        parts = [
+            {ast.unparse(p) for p in ast.walk(value) if isinstance(p, ast.expr)}
+            for value in node.value.elts
+        ]
+        needs_another = any(
+            place in part
+            for i, place in enumerate(places)
+            for j, part in enumerate(parts)
+            if i != j
+        )
+        if not (needs_another or _are_related([place.split('.')[-1] for place in places])):
             yield ast.unparse(node), node.lineno
 
 
-@pytest.mark.parametrize('line', ['speed, name = 1, 2', 'a.volt, row[0] = f(), {}', 'n, at = 0, 1'])
+@pytest.mark.parametrize(
+    'line', ['speed, name = 1, 2', 'a.volt, row[0] = f(), {}', 'n, at = 0, 1', 'n, at = n + 1, 2']
+)
 def test_a_packed_assignment_is_seen(line: str) -> None:
     assert len(list(packed_assignments(ast.parse(line)))) == 1
 
@@ -225,11 +236,18 @@ def test_values_that_belong_together_are_no_packed_assignment(line: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('folder', ['src', 'tests', 'benchmarks'])
-def test_an_assignment_sets_one_value_unless_values_belong_together(folder: str) -> None:
+@pytest.mark.parametrize(
+    ('folder', 'pattern'),
+    [('src', '**/*.py'), ('tests', '**/*.py'), ('benchmarks', '**/*.py'), ('.', '*/*.py')],
+)
+def test_an_assignment_sets_one_value_unless_values_belong_together(
+    folder: str, pattern: str
+) -> None:
+    paths = sorted((ROOT / folder).glob(pattern))
+    assert paths
     found = [
         f'{path.relative_to(ROOT)}:{line}: {text}'
-        for path in sorted((ROOT / folder).rglob('*.py'))
+        for path in paths
         for text, line in packed_assignments(ast.parse(path.read_text(encoding='utf-8')))
     ]
     assert found == []

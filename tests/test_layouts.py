@@ -59,7 +59,9 @@ def foxglove_path(text: str) -> LayoutPath:
     """Split `/topic.field[0]{key=="value"}.@function`."""
     topic, dot, rest = text.partition('.')
     assert topic in DECLARED, f'{text}: no such topic'
-    steps, at, rest = [], 0, dot + rest
+    steps = []
+    at = 0
+    rest = dot + rest
     while at < len(rest):
         step = STEP.match(rest, at)
         assert step is not None, f'{text}: cannot read {rest[at:]}'

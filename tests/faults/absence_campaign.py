@@ -197,7 +197,9 @@ class Run:
                 effort[lost] = math.nan
                 speeds[lost] = math.nan if signal == 'speed' else speeds[lost]
             else:
-                names, effort, speeds = names[1::2], effort[1::2], speeds[1::2]
+                names = names[1::2]
+                effort = effort[1::2]
+                speeds = speeds[1::2]
         yield (
             signal,
             encode_joint_state(stamp_ns, names, velocity=speeds.tolist(), effort=effort.tolist()),

@@ -254,7 +254,8 @@ class Script:
         """Messages in the order of delivery: voltage earlier by the periods that it leads."""
         timed: list[tuple[int, int, Message]] = []
         for k in range(action.count):
-            stamp_ns, self._at = self._now_ns + k * action.period_ms * MS, self._at + 1
+            stamp_ns = self._now_ns + k * action.period_ms * MS
+            self._at = self._at + 1
             for order, signal in enumerate(('voltage', 'speed', 'torque')):
                 every = {'voltage': action.rates[1], 'torque': action.rates[0]}.get(signal, 1)
                 absent = signal in action.missing or (

@@ -178,7 +178,8 @@ class StreamFaults:
             (self._running,) = self._random.choices(self._kinds, self._weights)
             self._left = self._random.randint(*self._run_of(self._running))
             self._jump_ns = self._drawn_jump_ns()
-        kind, self._left = self._running, self._left - 1
+        kind = self._running
+        self._left = self._left - 1
         if self._left == 0:
             self._running = None
         return kind

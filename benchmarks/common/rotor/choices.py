@@ -54,7 +54,8 @@ def run_choice(record: Record) -> Choice:
         for result in observer.torque(MOTOR, stamp, reading):
             if result.estimate is not None:
                 right, wrong = _claims(result.estimate, motor)
-                claims, false = claims + len(right) + len(wrong), false + len(wrong)
+                claims = claims + len(right) + len(wrong)
+                false = false + len(wrong)
         view = observer.motors.get(MOTOR)
         if view is not None and view.white_box.speed_source != source:
             since_s = stamp * 1e-9 if source else math.nan

@@ -121,8 +121,8 @@ class RealMotor:
             return
         first, second = self.halves
         for name in first.keys() & second.keys():
-            (a, s, v) = first[name]
-            (b, r, w) = second[name]
+            a, s, v = first[name]
+            b, r, w = second[name]
             if not {v, w} & {'misfit', 'implausible'}:
                 yield (a - b) / math.hypot(s, r), v in KNOWN and w in KNOWN
 

@@ -258,7 +258,8 @@ def observe(record: Record, watch: Watch, trial: Trial) -> offline_run.Outcome:
         watch.believe(observer.estimates().get(MOTOR), torque_ns)
     observer.close()
     trial.samples = len(costs_ns)
-    first_ns, yardsticks_ns = costs_ns[:FIRST_SAMPLES], yardsticks_ns or [_yardstick_ns()]
+    first_ns = costs_ns[:FIRST_SAMPLES]
+    yardsticks_ns = yardsticks_ns or [_yardstick_ns()]
     first_yardsticks_ns = yardsticks_ns[: max(FIRST_SAMPLES // YARDSTICK_EVERY, 1)]
     trial.cost_ms = float(np.mean(first_ns)) / 1e6
     trial.worst_ms = max(costs_ns) / 1e6

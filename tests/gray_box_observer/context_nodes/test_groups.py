@@ -172,7 +172,7 @@ def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, l
         NAMES, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, speed_measured
     )
     start = np.column_stack([3.0 * inductance, np.full(motors, 3.0), np.full(motors, 30.0)])
-    (current, voltage, speed) = np.zeros((3, motors))
+    current, voltage, speed = np.zeros((3, motors))
     samples = []
     for k in range(400):
         before, speed = speed, random.uniform(-0.3, 0.3, motors)

@@ -42,7 +42,8 @@ def simulated(seed: int, load: float, count: int = 3000) -> tuple[np.ndarray, ..
             slope = rates(current, speed, volt, torque)
             middle = current + 0.5 * step_s * slope[0], speed + 0.5 * step_s * slope[1]
             slope = rates(*middle, volt, torque)
-            current, speed = current + step_s * slope[0], speed + step_s * slope[1]
+            current = current + step_s * slope[0]
+            speed = speed + step_s * slope[1]
         rows.append((current, speed))
     return theta, voltage, *np.array(rows).T
 

@@ -303,7 +303,7 @@ def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint
     said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
 ) -> None:
     names = (CALM, STIFF)
-    (one, other) = (observer(group_from=2) for _ in range(2))
+    one, other = (observer(group_from=2) for _ in range(2))
     for name in names:
         feed(one, said, (name,), 600, 700)
     checkpoint.save(one, tmp_path / 'alone')

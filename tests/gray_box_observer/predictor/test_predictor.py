@@ -345,7 +345,8 @@ class Told:
 
     def submit(self, job: dict[str, Any]) -> None:
         """Take a job."""
-        self.jobs, self.busy = self.jobs + 1, True
+        self.jobs = self.jobs + 1
+        self.busy = True
 
     def collect(self) -> dict[str, Any]:
         """Give the answer."""

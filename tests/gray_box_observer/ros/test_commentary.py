@@ -51,7 +51,8 @@ class Run:
     ) -> None:
         """Let a second go by in which samples and other messages came of these motors."""
         self.now_s += 1.0
-        used, heard = set(used), set(heard)
+        used = set(used)
+        heard = set(heard)
         motors = {
             motor: MotorTraffic(
                 int(motor in used),

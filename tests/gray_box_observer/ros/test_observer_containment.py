@@ -18,8 +18,10 @@ from .conftest import ACKNOWLEDGE_TIMEOUT_S, CHUNK
 pytestmark = pytest.mark.system
 
 FAULTY = 'faulty_observer'
+"""A module beside this one."""
+
 DEADLY_NM = 900.0
-"""A module beside this one, and the torque that breaks it."""
+"""The torque that breaks it."""
 
 NUMBERS = ('inductance', 'resistance', 'hysteresis', 'covariance')
 PERIOD_NS = 10_000_000

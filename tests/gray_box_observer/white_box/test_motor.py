@@ -148,8 +148,8 @@ def test_tensors_give_what_arrays_give(measured: bool) -> None:
     i, w = np.stack([CURRENTS, -CURRENTS]), np.stack([SPEEDS, SPEEDS])
     ti = torch.as_tensor(i)
     tw = torch.as_tensor(w)
-    (balance, signals) = electrical(box, i, w)
-    (tensors, of_twin) = electrical(twin, ti, tw)
+    balance, signals = electrical(box, i, w)
+    tensors, of_twin = electrical(twin, ti, tw)
     pairs = [
         *zip(box.basis(i, w), twin.basis(ti, tw), strict=True),
         *zip(

@@ -18,6 +18,9 @@ DEEPEST = 32
 
 _PARAMETERS = 'ros__parameters'
 
+_SHOWN = 60
+"""Characters of a quoted text."""
+
 _TEXT_TAG = 'tag:yaml.org,2002:str'
 _PLAIN_TAGS = (None, '!')
 _MERGE_KEY = '<<'
@@ -55,7 +58,7 @@ def check(path: str) -> None:
     try:
         for event in yaml.parse(Path(path).read_bytes(), Loader=_PARSER):
             if isinstance(event, yaml.NodeEvent):
-                _refuse_reference(path, event)
+                _refuse_more_than_data(path, event)
             if isinstance(event, yaml.DocumentStartEvent):
                 document_count += 1
                 if document_count > 1:
@@ -79,14 +82,14 @@ def check(path: str) -> None:
         raise ConfigurationError(f'parameter file {path}: {error}') from None
 
 
-def _refuse_reference(path: str, event: yaml.NodeEvent) -> None:
+def _refuse_more_than_data(path: str, event: yaml.NodeEvent) -> None:
     """Refuse whatever makes a node more than the data that is written there."""
     if event.anchor is not None:
         kind = 'an alias' if isinstance(event, yaml.AliasEvent) else 'an anchor'
-        raise _refusal(path, event, f'{kind} ({event.anchor}); write the values out')
+        raise _refusal(path, event, f'{kind} ({_short_text(event.anchor)}); write the values out')
     tag = getattr(event, 'tag', None)
     if tag not in _PLAIN_TAGS and not (tag == _TEXT_TAG and isinstance(event, yaml.ScalarEvent)):
-        raise _refusal(path, event, f'the tag {tag}; write the plain value')
+        raise _refusal(path, event, f'the tag {_short_text(tag)}; write the plain value')
 
 
 def _opened(path: str, outer: _Open, event: yaml.CollectionStartEvent) -> _Open:
@@ -128,6 +131,11 @@ def _add(path: str, node: _Open, key: str, event: yaml.Event) -> None:
     if name in node.parameter_names:
         raise _refusal(path, event, f'the parameter {name} stands twice')
     node.parameter_names.add(name)
+
+
+def _short_text(text: object) -> str:
+    whole = str(text)
+    return whole if len(whole) <= _SHOWN else f'{whole[:_SHOWN]}...'
 
 
 def _refusal(path: str, event: yaml.Event, complaint: str) -> ConfigurationError:

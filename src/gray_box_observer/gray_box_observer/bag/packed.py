@@ -118,7 +118,8 @@ def unpack_messages(
             check_size(size, len(message.data), limits)
             unpacked_messages.append(message._replace(data=unpacker.decompress(message.data)))
         except (Unreadable, zstandard.ZstdError) as error:
-            reason, failure_count = str(error), failure_count + 1
+            reason = str(error)
+            failure_count = failure_count + 1
     return (
         unpacked_messages,
         f'{failure_count} packed messages that cannot be unpacked ({reason})'

@@ -249,7 +249,8 @@ class GradientUpdate:
         speed = self.replay.speed_rad_s()[:, index]
         current = self._white_box.state(self.replay.torque_nm()[:, index])
         phi, target = integrated_regressors(self._white_box, voltage, current, speed, intervals)
-        phi, target = phi.sum(axis=2), target.sum(axis=2)
+        phi = phi.sum(axis=2)
+        target = target.sum(axis=2)
         valid = (
             np.all(intervals > 0.0, axis=2) & np.isfinite(target) & np.all(np.isfinite(phi), axis=2)
         )

@@ -55,7 +55,7 @@ class GradientDescent:
 
     @property
     def is_settled(self) -> NDArray[np.bool_]:
-        """Whether the rate has been cut at least twice, shape (motor, 1)."""
+        """Whether the rate is at most a quarter of the first, shape (motor, 1)."""
         return self.rate <= 0.25 * self._first_rate
 
     def step(self, loss: Array, gradient: Array) -> None:

@@ -133,10 +133,8 @@ class FineSearch:
         times = self._signals.time_s
         interval = np.diff(times)[None]
         voltage = np.diff(self._signals.voltage_integral(times - delay_s))[None] / interval
-        voltage, interval = (
-            np.where(self._restart, 0.0, voltage),
-            np.where(self._restart, 0.0, interval),
-        )
+        voltage = np.where(self._restart, 0.0, voltage)
+        interval = np.where(self._restart, 0.0, interval)
         return SampleWindow(
             self._state, voltage, interval, self._signals.speed_rad_s[None], self._restart
         )
@@ -147,7 +145,8 @@ class FineSearch:
         for iteration in range(STEPS):
             is_small = self._step(free)
             gain = 0.5 * np.count_nonzero(self._valid) * np.log(least / self._noise2)
-            least, idle = min(least, self._noise2), 0 if gain > LEAST_GAIN else idle + 1
+            least = min(least, self._noise2)
+            idle = 0 if gain > LEAST_GAIN else idle + 1
             if iteration > 2 and (is_small or idle == MOST_IDLE):
                 return
             yield

@@ -121,7 +121,8 @@ def _doubt_of_sizes(motor: MotorConfiguration, white_box: MotorWhiteBox, samples
         quantity = 'torque' if motor.reads_current else ''
     remedy = f'set torque.quantity: {quantity} if the signal is a {quantity}, or ' * bool(quantity)
     if motor.reads_current:
-        start, remedy = f'the torque signal is read as a current of {text}', f'{remedy}check '
+        start = f'the torque signal is read as a current of {text}'
+        remedy = f'{remedy}check '
     else:
         kt = float(motor.values[TORQUE_CONSTANT])
         start = f'the torque over a Kt of {kt:g} N m/A is a current of {text}'

@@ -25,19 +25,24 @@ GIVE_RAD = 5e-3
 """Standard deviation of the angle of the motor's shaft that is taken for likely beforehand."""
 
 RESTING = 1e-3
+"""Share of a large speed below which a measured one is that of a shaft at rest."""
+
 FAST = 0.99
-"""Share of a large speed below which a measured one is that of a shaft at rest, and the quantile of
-the speeds that is large: one wild reading is none."""
+"""Quantile of the speeds that is a large one: one wild reading is none."""
 
 NOISY = 3.0
+"""Standard deviations of the speed's noise that are rest too."""
+
 NOISIEST = 5e-3
-"""Standard deviations of the speed's noise that are rest too, and the largest noise that is taken
-for some, as a share of a large speed: a shaft that is sampled too slowly has none."""
+"""Largest noise that is taken for some, as a share of a large speed: a shaft that is sampled too
+slowly has none."""
 
 BREAKAWAY = 0.25
-SLOW = 0.02
 """Standard deviation, over ``T_c``, of the friction that is there beside it where the shaft hardly
-moves; and the share of the largest speed at which most of it has gone."""
+moves."""
+
+SLOW = 0.02
+"""Share of the largest speed at which most of that has gone."""
 
 SURE = 2.0
 """Standard deviations from which a friction that grows with the square of the speed is believed to

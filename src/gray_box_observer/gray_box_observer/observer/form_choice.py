@@ -100,7 +100,7 @@ class TrialPace:
 
     Attributes:
         due: place of the sample from which it is.
-        wait: samples from a trial that has failed to the next one.
+        wait: samples from the end of a trial to the next one.
         trials: how many have begun.
     """
 
@@ -109,7 +109,7 @@ class TrialPace:
     trials: int = 0
 
     def begin(self, place: int) -> None:
-        """Note that a trial begins; the next ones come when the samples have doubled."""
+        """Note that a trial begins; the next comes when the samples have doubled, or sooner."""
         self.trials += 1
         self.wait = min(max(2 * self.wait, place), LONGEST_WAIT)
 
@@ -414,7 +414,7 @@ class FormChoice:
             return
         self._budget = WorkBudget.restored(plain)
         self._trial = None
-        self._reasons = Reasons(reasons[0], reasons[2], reasons[1])
+        self._reasons = Reasons(source=reasons[0], refusal=reasons[1], effects=reasons[2])
         self._pace = TrialPace(place + due, wait, trials)
         self._place = place
         if 'seen' in plain:  # not in files of early releases

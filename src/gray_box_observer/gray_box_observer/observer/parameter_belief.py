@@ -149,7 +149,8 @@ class ParameterBelief:
             self.theta = estimate.value
             self.covariance = estimate.covariance
         else:
-            self.theta, self.covariance = self.theta.copy(), self.covariance.copy()
+            self.theta = self.theta.copy()
+            self.covariance = self.covariance.copy()
             self.theta[motors] = estimate.value
             self.covariance[motors] = estimate.covariance
         return public_estimate

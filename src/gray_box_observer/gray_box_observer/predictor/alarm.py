@@ -191,7 +191,8 @@ class ResidualAlarm:
         samples = SECONDS_A_DAY / self.rules.false_a_day / ops.maximum(self._interval_s, 1e-9)
         thresholds = threshold_for(samples) if self._axis.single else thresholds_for(samples)
         self._threshold = ops.where(is_armed, thresholds, np.inf)
-        self._up, self._down = ops.where(counts, self._up, 0.0), ops.where(counts, self._down, 0.0)
+        self._up = ops.where(counts, self._up, 0.0)
+        self._down = ops.where(counts, self._down, 0.0)
 
     def _between(self, values: Any, low: Any, high: Any) -> Any:
         """As ``np.clip``, which takes several times as long over few motors."""

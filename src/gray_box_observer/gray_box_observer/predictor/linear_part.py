@@ -47,9 +47,10 @@ STRAIGHT = 1e-3
 straight one."""
 
 TRUSTED = 1.25
+"""Size of a feature, in units of the largest one taught, up to which all is used."""
+
 STRANGE = 2.0
-"""Size of a feature, in units of the largest one taught: up to the one all is used, from the other
-on nothing."""
+"""The same from which on nothing is."""
 
 FURTHER = (2.0, 1.6)
 """Size up to which all is used where that is borne out: where the small features teach, down to one

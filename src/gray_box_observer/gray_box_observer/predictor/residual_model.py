@@ -266,7 +266,8 @@ class ResidualForecaster:
                 :meth:`Correction.instants_s`.
             memory: what was remembered before; None: after the last sample.
         """
-        model, memory = self.correction, memory or self._memory
+        model = self.correction
+        memory = memory or self._memory
         if model is None or memory is None:
             return np.zeros(self._motors)
         current = self._white_box.state(np.nan_to_num(path_nm))

@@ -41,9 +41,10 @@ SLOWEST = 1e-12
 """Smallest decay rate in 1/s; keeps logarithms finite."""
 
 SHORTEST = 1e-20
+"""Smallest product of interval and decay rate that is told apart from nothing."""
+
 LONGEST = 1e6
-"""Smallest and largest product of interval and decay rate that are told apart from nothing and from
-infinity."""
+"""Largest one that is told apart from infinity."""
 
 MOST = 6.0
 """Largest logarithm that the network is shown."""

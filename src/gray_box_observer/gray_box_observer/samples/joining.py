@@ -330,7 +330,8 @@ class ManyMotors:
         if self._regular:
             return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed)
         # what was refused with its torque must not be seen by anybody
-        voltage_v, speed = np.where(here, mean_v, 0.0), np.where(here, speed, np.nan)
+        voltage_v = np.where(here, mean_v, 0.0)
+        speed = np.where(here, speed, np.nan)
         return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here)
 
     def refusal_counts(self, motor: int) -> RefusalCounts:

@@ -30,7 +30,8 @@ def sparkline(values: Sequence[float], width: int, blocks: str = BLOCKS) -> str:
     middle = 0.5 * (low + high)
     span = max(high - low, LEAST_SPAN * abs(middle))
     if span == 0.0:
-        low, span = low - 0.5, 1.0
+        low = low - 0.5
+        span = 1.0
     elif span > high - low:  # its middle is that of a block, so that it stays within one
         low = middle - span * (len(blocks) // 2 + 0.5) / len(blocks)
     top = len(blocks) - 1

@@ -254,7 +254,7 @@ class MeasuredSpeedUpdate:
             estimate: of this motor, as far as it may be believed.
             is_believed: whether its voltage balance explains the data.
         """
-        if self._mechanics is None:
+        if self._mechanics is None:  # nothing is worked out for it
             return estimate
         return self.published_mechanics.added_to(
             estimate,
@@ -339,7 +339,7 @@ class MeasuredSpeedUpdate:
         fit = self._outputs.output_fit
         if fit is None or not (fit.explains or self._comparison.is_nearly_late(fit)):
             self._failures += 1
-            self.published_mechanics.explained_count = -1
+            self.published_mechanics.note_failure()
             if fit is not None and self._is_noisy:
                 newest = samples[:, -fit.window.current_a.size :]
                 self._comparison.compare(newest, fit, is_noisy=True)
@@ -356,7 +356,7 @@ class MeasuredSpeedUpdate:
         if fit.explains:
             self.published_mechanics.note_fit(fit, samples.shape[1])
         else:
-            self.published_mechanics.explained_count = -1
+            self.published_mechanics.note_failure()
             samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
         is_late = self._comparison.is_late(fit)
         if not (self._is_noisy or fit.shows_noise or is_late):
@@ -393,11 +393,12 @@ class MeasuredSpeedUpdate:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = self._exact.state()
         outputs, output_arrays = self._outputs.state()
+        mechanics, mechanics_arrays = self.published_mechanics.state()
         newest_place = int(self._outputs.replay.received[0])
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
             'failures': self._failures,
-            'explained': self.published_mechanics.explained_count,
+            **mechanics,
             'evidence': float(np.clip(self._comparison.evidence, -LARGEST, LARGEST)),
             'ask_at': self._ask_at - newest_place,
             'rest_until': self._rest_until - newest_place,
@@ -406,7 +407,7 @@ class MeasuredSpeedUpdate:
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
-        arrays |= self.published_mechanics.state()
+        arrays |= mechanics_arrays
         if self._is_noisy:
             arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
             arrays[_SHARES] = self._shares.copy()

@@ -64,7 +64,7 @@ HOPELESS = 4.0
 MOST_KNOTS = 64
 FEWEST_KNOTS = 4
 SAMPLES_A_KNOT = 32
-"""Of a load that varies."""
+"""Knots of a load that varies."""
 
 WALKS = 4
 """Fits at most in which the walk of a load settles."""

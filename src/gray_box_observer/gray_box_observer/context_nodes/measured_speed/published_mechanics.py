@@ -21,13 +21,14 @@ from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array, Parameter
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
-SETTLED = 1024
+FEWEST_EXPLAINED = 1024
 """Explained samples from which anything of the rotor may be called identified."""
 
-FORGOTTEN = 0.7
+REMAINDER = 0.7
+"""Share of what a varying load may have done that is left after a window with a constant load."""
+
 LEAST_SPREAD = 1e-3
-"""Share of what a varying load may have done that is left after a window whose load is constant,
-and the least of it that counts."""
+"""The least of it that counts."""
 
 _SPREAD = 'measured_speed.load_spread'
 
@@ -88,6 +89,8 @@ class PublishedMechanics:
             is_believed: whether its voltage balance explains the data.
             is_unexplained: whether the fit of both outputs does not explain the newest samples.
         """
+        if self._mechanics is None:
+            return estimate
         rotor = slice(self._nodes.stop, None)
         own = Estimate(
             both.stamp_ns,
@@ -96,7 +99,7 @@ class PublishedMechanics:
             both.covariance[:, rotor, rotor],
             (both.verdicts[0][rotor],),
         )
-        is_settled = self.explained_count >= SETTLED
+        is_settled = self.explained_count >= FEWEST_EXPLAINED
         own = limited(own, self.spread, rules, is_settled=is_settled)
         count = len(self.parameters)
         covariance = np.zeros((1, count, count))
@@ -122,12 +125,17 @@ class PublishedMechanics:
         is_explained = fit.explains_rotor
         self.explained_count = max(self.explained_count, count) if is_explained else -1
         now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
-        self.spread = np.maximum(now, FORGOTTEN * self.spread)
+        self.spread = np.maximum(now, REMAINDER * self.spread)
         self.spread[self.spread < LEAST_SPREAD] = 0.0
 
-    def state(self) -> dict[str, Array]:
-        """Everything learnt but the count, for a checkpoint."""
-        return {} if self._mechanics is None else {_SPREAD: self.spread.copy()}
+    def note_failure(self) -> None:
+        """Note that the newest window is not explained."""
+        self.explained_count = -1
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        arrays = {} if self._mechanics is None else {_SPREAD: self.spread.copy()}
+        return {'explained': self.explained_count}, arrays
 
     def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave.

@@ -23,11 +23,13 @@ EVIDENCE = 30.0
 what as many unknowns explain of mere noise."""
 
 LESS_LIKELY = 0.05
+"""Log-likelihood a sample by which the current may be less likely with the speed of the whole
+motor. Its residual is then larger by so much than with the measured speed."""
+
 SHARP = 0.05
-"""Log-likelihood a sample by which the current may be less likely with the speed of the whole motor
-than with the measured one: a residual larger by so much. Beyond it the whole motor is believed only
-where its lag is known to this share of a sample interval. Else a few samples fit a lag that is not
-there, to a tenth of an interval at best; a filter of the sensor is known to a thirtieth."""
+"""Sample intervals to which the lag has to be known where it is less likely than that. Else a few
+samples fit a lag that is not there, to a tenth of an interval at best. A filter of the sensor is
+known to a thirtieth."""
 
 LATE, LATE_STDS = 0.1, 5.0
 """Sample intervals, and standard deviations, from which the speed is late: the recursive rule takes
@@ -83,9 +85,9 @@ class SpeedComparison:
     def compare(self, samples: Array, fit: OutputFit, *, is_noisy: bool) -> None:
         """Find how much likelier the current is with the speed of the whole motor.
 
-        The measured speed is tried at the values of either rule, and before it is doubted for the
-        first time at those that suit it best: that the recursive rule has not settled is no
-        evidence.
+        The measured speed is tried at the values of either rule. Before it is doubted for the first
+        time, it is also tried at those that suit it best. That the recursive rule has not settled
+        is no evidence.
 
         Args:
             samples: shape (signal, n): the newest.

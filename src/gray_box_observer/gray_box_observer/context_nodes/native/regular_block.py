@@ -39,10 +39,13 @@ MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
 """Room in `regular_block.c`."""
 
 LEARNT = 1
+"""Bit that tells of a motor that its block is learnt."""
+
 LONG_HOLD = 2
+"""Bit that tells that it has been in a long hold."""
+
 ANCHOR_DUE = 4
-"""What is told of a motor, bit by bit: its block is learnt, it has been in a long hold, its anchor
-lies far back."""
+"""Bit that tells that its anchor lies far back."""
 
 _COUNT = ctypes.c_int64
 _NUMBER = ctypes.c_double

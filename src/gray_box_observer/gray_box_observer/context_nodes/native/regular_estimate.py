@@ -116,7 +116,9 @@ class RegularEstimates:
             return None
         value, covariance, codes = self._results
         if motors is not None:
-            value, covariance, codes = value[:count], covariance[:count], codes[:count]
+            value = value[:count]
+            covariance = covariance[:count]
+            codes = codes[:count]
         return value.copy(), covariance.copy(), verdicts_of(codes)
 
     def _point_shares(self, share: Array | None, reach: Array | None) -> bool:

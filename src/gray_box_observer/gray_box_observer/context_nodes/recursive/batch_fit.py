@@ -335,7 +335,8 @@ class _Search:
             noise = np.where(selection, noise, self._noise)
             precision = np.where(two, precision, self._precision)
             information = np.where(two, information, self._information)
-            about, next_p = np.where(one, about, self._about), np.where(one, next_p, p)
+            about = np.where(one, about, self._about)
+            next_p = np.where(one, next_p, p)
         self._frame = frame
         self._noise = noise
         self._information = information

@@ -122,7 +122,8 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     is_inlier: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
-    residual, jacobian = residual[:, 1:], jacobian[:, 1:]
+    residual = residual[:, 1:]
+    jacobian = jacobian[:, 1:]
     counts = valid.sum(axis=1), is_inlier.sum(axis=1)
     weights = is_inlier / (1.0 + loose[:, 1:])
     normal = weighted(jacobian, weights, residual)

@@ -313,10 +313,8 @@ class BlockUpdater:
         motors.forget(keep, selection)
         state.is_started = state.is_started & ~selection
         state.next_fit_at = np.where(selection, motors.remembered + more, state.next_fit_at)
-        state.suspicion, state.left_out = (
-            np.where(selection, 0.0, state.suspicion),
-            np.where(selection, 0.0, state.left_out),
-        )
+        state.suspicion = np.where(selection, 0.0, state.suspicion)
+        state.left_out = np.where(selection, 0.0, state.left_out)
 
     def _suspects(self, state: EstimatorState, block: Block) -> NDArray[np.int_]:
         """How many of the newest samples to examine where the motor seems changed; 0 elsewhere."""

@@ -79,10 +79,8 @@ class ChangeTracker:
         soon = state.position - state.examined_at <= SOON + patience(
             state.in_vain, self._rules.block
         )
-        state.in_vain, state.examined_at = (
-            np.where(soon, state.in_vain + 1, 0),
-            state.position.copy(),
-        )
+        state.in_vain = np.where(soon, state.in_vain + 1, 0)
+        state.examined_at = state.position.copy()
         penalties = [change.penalty for change in self._changes]
         pairs = zip(fits, penalties, strict=True)
         evidence = np.array(
@@ -168,12 +166,12 @@ class ChangeTracker:
     @staticmethod
     def _calm(state: EstimatorState) -> None:
         """Forget what has led to an examination."""
-        state.task_code, state.since = 0 * state.task_code, 0 * state.since
-        state.suspicion, state.left_out = 0.0 * state.suspicion, 0.0 * state.left_out
-        state.score, state.information = (
-            np.zeros_like(state.score),
-            np.zeros_like(state.information),
-        )
+        state.task_code = 0 * state.task_code
+        state.since = 0 * state.since
+        state.suspicion = 0.0 * state.suspicion
+        state.left_out = 0.0 * state.left_out
+        state.score = np.zeros_like(state.score)
+        state.information = np.zeros_like(state.information)
 
     @staticmethod
     def _back_on_track(belief: Belief, baseline: Belief, selection: NDArray[np.bool_]) -> Belief:

@@ -183,10 +183,8 @@ class ConstantVoltage:
         has_begun = (
             hold.begun | self._moved(first, largest, stretch) | np.all(variance <= VAGUE**2, axis=1)
         )
-        level, largest = (
-            np.where(has_begun, hold.level, first),
-            np.where(has_begun, hold.largest, largest),
-        )
+        level = np.where(has_begun, hold.level, first)
+        largest = np.where(has_begun, hold.largest, largest)
         return replace(hold, level=level, largest=largest, begun=has_begun)
 
     def without_excitation(

@@ -252,7 +252,8 @@ def definite(covariance: Array, unit: Array) -> Array:
     bad[~bad] = np.linalg.eigvalsh(correlation[~bad])[:, 0] < LEAST_EIGENVALUE
     if not bad.any():
         return covariance
-    definite_covariance, unit = covariance.copy(), unit[bad, :, None] * unit[bad, None, :]
+    definite_covariance = covariance.copy()
+    unit = unit[bad, :, None] * unit[bad, None, :]
     nearest = semidefinite(covariance[bad] / unit)
     variance = nearest.diagonal(0, 1, 2)
     least = LEAST_EIGENVALUE * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).eps)

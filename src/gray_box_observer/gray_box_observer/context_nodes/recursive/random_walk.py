@@ -113,11 +113,9 @@ def select_rate(
     walks = slice(-len(RATES), None)
     for candidate, after, evidence in zip(RATES, ends[walks], evidences[walks], strict=True):
         better = evidence > most
-        best, most, rate = (
-            best.overwritten(after, better),
-            np.fmax(evidence, most),
-            np.where(better, candidate, rate),
-        )
+        best = best.overwritten(after, better)
+        most = np.fmax(evidence, most)
+        rate = np.where(better, candidate, rate)
     return rate, best
 
 

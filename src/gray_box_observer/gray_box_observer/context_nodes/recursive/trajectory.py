@@ -35,10 +35,13 @@ COORDINATES = slice(STATES, None)
 """Places of the coordinates among the unknowns."""
 
 STATE_ROW = 0
+"""Row of a trajectory that holds the state."""
+
 START_ROW = 1
+"""Row that holds its derivative by the first state."""
+
 COORDINATE_ROWS = slice(2, None)
-"""Rows of a trajectory: the state, its derivative by the first state, and those by the coordinates.
-"""
+"""Rows that hold those by the coordinates."""
 
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
@@ -238,7 +241,8 @@ def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array
     if not (
         np.abs(end) <= limit
     ).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
-        end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
+        end = np.clip(np.nan_to_num(end), -limit, limit)
+        by_state = np.nan_to_num(by_state)
         by_coordinate = np.clip(np.nan_to_num(by_coordinate), -ABSURD, ABSURD)
     decay = by_state.clip(-1.0, 1.0)
     offset = end - decay * start
@@ -382,7 +386,9 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
         onward &= remaining_variance > NEGLIGIBLE
         if not np.any(onward):
             break
-        motor, at, remaining_variance = motor[onward], at[onward], remaining_variance[onward]
+        motor = motor[onward]
+        at = at[onward]
+        remaining_variance = remaining_variance[onward]
         predicted_variance = decay[motor, at + ahead] ** 2 * remaining_variance
         variance[motor, at + ahead + 1] = predicted_variance
         remaining_variance = taken_over(predicted_variance)

@@ -58,9 +58,10 @@ FEWEST_INTERVALS = 8
 """Of a run, from which straight motions are prepared."""
 
 MANY_STEPS = 16
+"""Runge-Kutta steps from which they are prepared anew for an interval of another length."""
+
 SAME_LENGTH = 1e-6
-"""Runge-Kutta steps from which they are prepared anew for an interval of another length, and the
-share by which a length is another."""
+"""Share by which a length is another."""
 
 
 @dataclass(frozen=True, eq=False)

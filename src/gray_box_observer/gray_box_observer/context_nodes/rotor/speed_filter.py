@@ -35,7 +35,7 @@ LOAD = list(TERMS).index('load_torque')
 CURRENT = State.CURRENT
 SPEED = State.SPEED
 ACCELERATION = STATES
-"""Places among the states of a filter; the last one is the load over the inertia."""
+"""Place of the load over the inertia among the states of a filter, behind those of the motor."""
 
 MEMORY = 0.99
 """Share of its log-likelihood that a filter keeps from sample to sample."""

@@ -136,7 +136,8 @@ class StraightMotion:
         while halvings < LEVELS - 1 or not total * least_s <= SHORT:
             if halvings == MOST_HALVINGS:
                 return None
-            halvings, least_s = halvings + 1, 0.5 * least_s
+            halvings = halvings + 1
+            least_s = 0.5 * least_s
         levels = [Level.short(jacobian, least_s)]
         for _ in range(halvings):
             levels.append(levels[-1].doubled())

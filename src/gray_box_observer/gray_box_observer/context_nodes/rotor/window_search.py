@@ -84,8 +84,10 @@ class Accuracy:
 
 
 ROUGHLY = Accuracy(0.3, 0.3)
+"""Of a search while outliers pull, which another one follows."""
+
 NEARLY = Accuracy(3e-3, 1e-2)
-"""Of a search while outliers pull, which another one follows, and of the last one."""
+"""Of the last search."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,8 +210,8 @@ class ResidualTrainer:
 
         now = _sizes(run)
         if self._trainable is None or self._sizes is None or _outgrown(self._sizes, now):
-            self._sizes = now
             self._trainable = TrainableResidual(INPUTS, HIDDEN, self._seed, self._device)
+            self._sizes = now
         size, limit_a = self._sizes
         pace_s = float(np.median(run.interval_s))
         support = np.zeros((BINS, BINS))
@@ -255,7 +255,8 @@ def _judge(correction: ResidualModel, run: _Run) -> tuple[ResidualModel, float]:
     """Return the correction with the share that judging blocks support, and its error."""
     output = _outputs(replace(correction, share=1.0), run)
     judges = judging(run.number) & run.is_warm
-    residual, output = run.residual_a[:, judges], output[:, judges]
+    residual = run.residual_a[:, judges]
+    output = output[:, judges]
     share = float(
         np.clip(np.sum(residual * output) / max(float(np.sum(output**2)), 1e-300), 0.0, 1.0)
     )

@@ -149,7 +149,8 @@ def _truth_trace(
         times, values = parameter.truth
         if not len(times):
             return None
-        times, values = np.append(times, max(span_s[1], times[-1])), np.append(values, values[-1])
+        times = np.append(times, max(span_s[1], times[-1]))
+        values = np.append(values, values[-1])
     else:
         times = np.array(span_s)
         values = np.full(2, parameter.truth)

@@ -38,7 +38,7 @@ Why = Callable[[Iterable[str]], str]
 
 
 @dataclass
-class Account:
+class AnnouncedState:
     """What was seen and told of an observer since it knew nothing.
 
     Attributes:
@@ -104,7 +104,7 @@ class Commentary:
 
     def forget(self) -> None:
         """Begin anew with an observer that knows nothing."""
-        self._account = Account()
+        self._announced_state = AnnouncedState()
 
     def look(self, observer: Observer, traffic: Traffic) -> None:
         """Take in what has come since the last look, and tell what there is to tell.
@@ -116,7 +116,7 @@ class Commentary:
         now_s = self._clock()
         for motor, of_motor in traffic.motors.items():
             if of_motor.samples:
-                self._account.seen_motors.add(motor)
+                self._announced_state.seen_motors.add(motor)
             for signal, count in of_motor.messages.items():
                 if count:
                     self._heard_s[signal, motor] = now_s
@@ -172,9 +172,9 @@ class Commentary:
         return '; '.join([line, *verdict_lines])
 
     def _newly_found(self) -> list[str]:
-        new = self._account.seen_motors - self._account.found_motors
+        new = self._announced_state.seen_motors - self._announced_state.found_motors
         motors = [motor for motor in self._motors if motor in new]
-        self._account.found_motors |= new
+        self._announced_state.found_motors |= new
         return [f'found {motors_in_words(motors)}: samples come'] if motors else []
 
     def _choices(self, observer: Observer) -> list[str]:
@@ -189,16 +189,16 @@ class Commentary:
         """What the data have chosen for one motor since it was told last."""
         phrases = []
         choice = motor.observer.form_choice
-        if choice.is_open and motor.added_effects != self._account.effects.get(name, ()):
-            self._account.effects[name] = motor.added_effects
+        if choice.is_open and motor.added_effects != self._announced_state.effects.get(name, ()):
+            self._announced_state.effects[name] = motor.added_effects
             effect_names = ' and '.join(motor.added_effects) or 'no effects'
             phrases.append(f'{name}: {effect_names} added: {motor.effects_reason}')
         if not choice.speed_is_open:
             return phrases
         source = motor.white_box.speed_source
-        before = self._account.speed_sources.setdefault(name, 'torque_constant')
+        before = self._announced_state.speed_sources.setdefault(name, 'torque_constant')
         if source != before:
-            self._account.speed_sources[name] = source
+            self._announced_state.speed_sources[name] = source
             phrases.append(f'{name}: speed from {source}: {motor.speed_reason}')
         return phrases
 
@@ -209,10 +209,10 @@ class Commentary:
             initial_verdicts = (Verdict.UNEXCITED,) * len(estimate.parameters)
             for place, name in enumerate(names):
                 verdicts = estimate.verdicts[place]
-                before = self._account.verdicts.get(name, initial_verdicts)
+                before = self._announced_state.verdicts.get(name, initial_verdicts)
                 if verdicts != before:
                     before = before if len(before) == len(verdicts) else initial_verdicts
-                    self._account.verdicts[name] = verdicts
+                    self._announced_state.verdicts[name] = verdicts
                     places = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
                     changes.append((name, estimate.for_motor(place), places))
         doubtful = any(
@@ -254,7 +254,7 @@ class Commentary:
         reported_signals = [
             (signal, motor)
             for signal, motor in back
-            if motor in self._account.found_motors or not motor
+            if motor in self._announced_state.found_motors or not motor
         ]
         phrases = []
         for motor_list, names in _by_motors(reported_signals).items():
