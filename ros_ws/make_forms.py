@@ -486,8 +486,8 @@ def whole_motor_form() -> str:
         *(_linear(f'{name}->', tuple(State), EVERY_TERM) for name in ('first', 'then'))
     )
     step = (
-        'const Real *p, Real torque_constant, const Real *start, const Linear *here, Real voltage, '
-        'Real length'
+        'const Real *p, Real torque_constant, const Real *start, const Linear *here,\n'
+        '    Real voltage, Real length'
     )
     functions = {
         'rate_of': ('const Real *p, Real torque_constant, const Real *state, Real voltage', rate),

@@ -30,7 +30,7 @@ INLINE Linear in_steps(
     Linear whole = {{{0}}, {{{0}}}, {{{0}}}};
     for (int s = 0; s < STATES; s++) whole.value[s] = start[s], whole.by_state[s][s] = all(1.0);
     for (int step = 0; step < most; step++) {
-        Mask on = {0}, last = {0}; /* lane by lane: GCC 12 fails on the comparison of vectors here */
+        Mask on = {0}, last = {0}; /* lane by lane: GCC 12 cannot compare vectors here */
         for (int l = 0; l < LANES; l++) {
             on[l] = -(step < steps[l]);
             last[l] = -(step + 1 >= steps[l]);

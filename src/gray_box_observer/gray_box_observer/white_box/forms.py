@@ -14,7 +14,7 @@ from gray_box_observer.white_box.declaration import State
 FINGERPRINT = 871875362510168629
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 959942310277321737
+WHOLE_MOTOR_FINGERPRINT = 961006683897004254
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {

@@ -232,11 +232,15 @@ class MotorWhiteBox:
 
     def state(self, torque_nm: Array) -> Array:
         """Current in A from torque (thesis 4.3)."""
-        return forms.current_of_torque(torque_nm, _spread(self.torque_constant, torque_nm))  # type: ignore[no-any-return]
+        torque_constant = _spread(self.torque_constant, torque_nm)
+        current_a: Array = forms.current_of_torque(torque_nm, torque_constant)
+        return current_a
 
     def output(self, state: Array) -> Array:
         """Torque in N m from current (thesis 4.3)."""
-        return forms.torque_of_current(state, _spread(self.torque_constant, state))  # type: ignore[no-any-return]
+        torque_constant = _spread(self.torque_constant, state)
+        torque_nm: Array = forms.torque_of_current(state, torque_constant)
+        return torque_nm
 
     def speed(self, state: Any, measured_rad_s: Any) -> Any:
         """Speed in rad/s: the measured one, or that of the thesis, which follows the current."""

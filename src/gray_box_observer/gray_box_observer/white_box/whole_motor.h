@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 959942310277321737
+#define WHOLE_MOTOR_FINGERPRINT 961006683897004254
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
@@ -69,7 +69,8 @@ INLINE Linear rate_of(
 
 /* flow.py, runge_kutta_step. */
 INLINE Linear runge_kutta_step(
-    const Real *p, Real torque_constant, const Real *start, const Linear *here, Real voltage, Real length)
+    const Real *p, Real torque_constant, const Real *start, const Linear *here,
+    Real voltage, Real length)
 {
     Linear linear;
     const Real t1 = length * (1.0 / 6.0);

@@ -28,7 +28,8 @@ def find_bags(places: Iterable[Path]) -> list[Path]:
     for place in places:
         if not place.exists():
             raise BagError(f'{place}: no such bag or folder of bags')
-        bags = list(_bags_at(Path(os.path.abspath(place))))  # noqa: PTH100 - without following links
+        path = os.path.abspath(place)  # noqa: PTH100 - without following links
+        bags = list(_bags_at(Path(path)))
         if not bags:
             raise BagError(
                 f'{place}: no bag in this folder: neither a {METADATA_NAME} nor an .mcap file'

@@ -90,7 +90,8 @@ class DaskEngine:
 
         if not _ADDRESS.fullmatch(self.scheduler):
             raise GrayBoxError(
-                f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786'
+                f'{self.scheduler!r} is no address of a Dask scheduler; expected such as '
+                'tcp://host:8786'
             )
         try:
             client: Client = stack.enter_context(

@@ -147,8 +147,8 @@ class ProcessTraining:
                 return
 
     def _read(self) -> None:
-        assert self._process.stdout is not None
-        while (result := worker_messages.read(self._process.stdout)) is not None:  # type: ignore[arg-type]
+        source: Any = self._process.stdout
+        while (result := worker_messages.read(source)) is not None:
             self._results.put(result)
         self._listener.join(timeout=1.0)
         with suppress(subprocess.TimeoutExpired):
