@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import rclpy
@@ -11,6 +12,7 @@ from sensor_msgs.msg import JointState
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
+from gray_box_observer.settings.parameter_spec import ParameterSpec
 
 TIMEOUT_S = 120.0
 RECORDER = 'gray_box_observer.ros.bags.recorder_node'
@@ -50,3 +52,32 @@ def interrupted_twice(peer, process) -> tuple[int, str]:
     process.send_signal(signal.SIGINT)
     code, _, said = peer.end(process, signal.SIGINT)
     return code, said
+
+
+def check_refusal(peer, folder: Path, module: str, arguments: Sequence[str], message: str) -> None:
+    """Check that a process beside bags of all kinds ends with code 2 and one line that says why."""
+    make_bag(folder / 'bag', [0.0, 1.0])
+    make_bag(folder / 'late', [0.0], log_s=2**32)
+    make_bag(folder / 'own', [0.0], topic='/gray_box_observer/predicted_torque')
+    (folder / 'text.mcap').write_text('no bag')
+    spoilt = make_bag(folder / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
+    spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))
+    process = peer.start(module, *(argument.format(tmp=folder) for argument in arguments))
+    code, _, said = peer.end(process, None)
+    assert code == 2
+    lines = [line for line in said.splitlines() if 'error:' in line]
+    assert len(lines) == 1 and message in lines[0]
+
+
+def check_help(peer, module: str, specs: Iterable[ParameterSpec]) -> None:
+    """Check that the help of a process names every parameter."""
+    code, out, _ = peer.end(peer.start(module, '--help'), None)
+    assert code == 0
+    assert all(f'\n  {spec.name} ' in out for spec in specs)
+
+
+def check_defaults(specs: Iterable[ParameterSpec]) -> None:
+    """Check that defaults are accepted, and that descriptions are sentences."""
+    for spec in specs:
+        assert spec.check(spec.default) == spec.default
+        assert spec.description.endswith('.')

@@ -25,7 +25,14 @@ from gray_box_observer.ros.bags.player_arguments import PLAYER_PARAMETERS
 from gray_box_observer.ros.bags.player_node import CLOCK_QOS
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
-from .bag_processes import PLAYER, interrupted_twice, make_bag
+from .bag_processes import (
+    PLAYER,
+    check_defaults,
+    check_help,
+    check_refusal,
+    interrupted_twice,
+    make_bag,
+)
 
 pytestmark = pytest.mark.system
 
@@ -287,26 +294,12 @@ def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_pat
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, arguments, message):
-    make_bag(tmp_path / 'bag', [0.0, 1.0])
-    make_bag(tmp_path / 'late', [0.0], log_s=2**32)
-    make_bag(tmp_path / 'own', [0.0], topic='/gray_box_observer/predicted_torque')
-    (tmp_path / 'text.mcap').write_text('no bag')
-    spoilt = make_bag(tmp_path / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
-    spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))
-    process = peer.start(PLAYER, *(argument.format(tmp=tmp_path) for argument in arguments))
-    code, _, said = peer.end(process, None)
-    assert code == 2
-    lines = [line for line in said.splitlines() if 'error:' in line]
-    assert len(lines) == 1 and message in lines[0]
+    check_refusal(peer, tmp_path, PLAYER, arguments, message)
 
 
 def test_help_names_every_parameter(peer):
-    code, out, _ = peer.end(peer.start(PLAYER, '--help'), None)
-    assert code == 0
-    assert all(f'\n  {spec.name} ' in out for spec in PLAYER_PARAMETERS)
+    check_help(peer, PLAYER, PLAYER_PARAMETERS)
 
 
 def test_the_defaults_are_those_that_are_accepted():
-    for spec in PLAYER_PARAMETERS:
-        assert spec.check(spec.default) == spec.default
-        assert spec.description.endswith('.')
+    check_defaults(PLAYER_PARAMETERS)

@@ -22,7 +22,16 @@ from gray_box_observer.ros.bags.recorder_arguments import RECORDER_PARAMETERS
 from gray_box_observer.ros.running import Stop
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
-from .bag_processes import PLAYER, RECORDER, TIMEOUT_S, interrupted_twice, make_bag, series
+from .bag_processes import (
+    PLAYER,
+    RECORDER,
+    TIMEOUT_S,
+    check_defaults,
+    check_help,
+    check_refusal,
+    interrupted_twice,
+    series,
+)
 
 pytestmark = pytest.mark.system
 
@@ -310,26 +319,12 @@ def test_a_type_that_is_not_installed_is_named_and_skipped(peer, tmp_path, monke
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, arguments, message):
-    make_bag(tmp_path / 'bag', [0.0, 1.0])
-    make_bag(tmp_path / 'late', [0.0], log_s=2**32)
-    make_bag(tmp_path / 'own', [0.0], topic='/gray_box_observer/predicted_torque')
-    (tmp_path / 'text.mcap').write_text('no bag')
-    spoilt = make_bag(tmp_path / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
-    spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))
-    process = peer.start(RECORDER, *(argument.format(tmp=tmp_path) for argument in arguments))
-    code, _, said = peer.end(process, None)
-    assert code == 2
-    lines = [line for line in said.splitlines() if 'error:' in line]
-    assert len(lines) == 1 and message in lines[0]
+    check_refusal(peer, tmp_path, RECORDER, arguments, message)
 
 
 def test_help_names_every_parameter(peer):
-    code, out, _ = peer.end(peer.start(RECORDER, '--help'), None)
-    assert code == 0
-    assert all(f'\n  {spec.name} ' in out for spec in RECORDER_PARAMETERS)
+    check_help(peer, RECORDER, RECORDER_PARAMETERS)
 
 
 def test_the_defaults_are_those_that_are_accepted():
-    for spec in RECORDER_PARAMETERS:
-        assert spec.check(spec.default) == spec.default
-        assert spec.description.endswith('.')
+    check_defaults(RECORDER_PARAMETERS)

@@ -254,8 +254,6 @@ class MeasuredSpeedUpdate:
             estimate: of this motor, as far as it may be believed.
             is_believed: whether its voltage balance explains the data.
         """
-        if self._mechanics is None:  # nothing is worked out for it
-            return estimate
         return self.published_mechanics.added_to(
             estimate,
             self._outputs.estimate(),
