@@ -13,7 +13,13 @@ COMPILED = Extension(
     f'{PACKAGE}.context_nodes.native._compiled',
     [
         f'{PACKAGE}/context_nodes/native/{name}.c'
-        for name in ('regular_block', 'regular_estimate', 'interval_motion', 'whole_motor')
+        for name in (
+            'regular_block',
+            'regular_estimate',
+            'widened_estimate',
+            'interval_motion',
+            'whole_motor',
+        )
     ],
     include_dirs=[PACKAGE],
     depends=[str(path) for path in sorted(Path(PACKAGE).rglob('*.h'))],

@@ -39,7 +39,7 @@ class Node:
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
         return SimpleNamespace(
-            publish=lambda message: self.sent.append((topic, message)),
+            handle=SimpleNamespace(publish_raw=lambda data: self.sent.append((topic, data))),
             on_activate=lambda _: None,
             is_activated=True,
         )
@@ -246,7 +246,7 @@ def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
     outputs.estimate('motor', estimate)
     assert [topic for topic, _ in node.sent] == ['~/motor/resistance', '~/motor/identified']
     outputs.all_estimates(['motor', 'other'], [(('motor',), estimate)])
-    table = node.sent[-1][1]
+    table = deserialize_message(node.sent[-1][1], Float64MultiArray)
     assert list(table.data) == [0.0, -1.0, 2.0, 1.0, 0.0, -1.0, 0.0, -1.0]
 
 

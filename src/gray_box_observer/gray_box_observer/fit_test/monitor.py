@@ -5,27 +5,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import (
-    COUNTS_AS_KNOWN,
-    Estimate,
-    Verdict,
-    misfit,
-    unsettled,
-)
+from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.assessment import FitAssessment
+from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
-from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.saved_test import check_saved_test
 from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
@@ -57,9 +50,10 @@ class FitMonitor:
             for motor, white_box in zip(motors, white_boxes, strict=True)
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
-        self._limited_motors = set(range(len(motors)))
+        self._limits: dict[int, EstimateLimit] = {}
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
+        self.forget()
 
     def configuration(self, motor: int) -> MotorConfiguration:
         """Return the configuration of one motor."""
@@ -121,16 +115,13 @@ class FitMonitor:
         self.schedule.follow(motor, result)
 
     def _keep(self, motor: int, result: FitResult | None) -> None:
-        """Keep what a test has left, and whether that limits the estimate."""
+        """Keep what a test has left, and how far that limits estimates."""
         self._results[motor] = result
-        if (
-            result is None
-            or result.judgement.widens
-            or result.judgement.verdict is FitVerdict.MISFIT
-        ):
-            self._limited_motors.add(motor)
+        limit = EstimateLimit(self._tests[motor].white_box.parameters, result)
+        if limit.is_open:
+            self._limits.pop(motor, None)
         else:
-            self._limited_motors.discard(motor)
+            self._limits[motor] = limit
 
     def judged(
         self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]
@@ -142,34 +133,28 @@ class FitMonitor:
             estimate: as it gives it, one row for each of some motors.
             motors: their places on the motor axis.
         """
-        if not self._limited_motors:
-            return estimate
-        rows = [row for row, motor in enumerate(motors.tolist()) if motor in self._limited_motors]
-        if not rows:
-            return estimate
         covariance = estimate.covariance
-        verdicts = list(estimate.verdicts)
-        for row in rows:
-            motor = int(motors[row])
-            result = self._results[motor]
-            if result is None:
-                verdicts[row] = tuple(map(unsettled, verdicts[row]))
+        verdicts: list[tuple[Verdict, ...]] = []
+        for row, motor in enumerate(motors.tolist()) if self._limits else ():
+            limit = self._limits.get(motor)
+            if limit is None:
                 continue
-            if result.judgement.widens:
-                covariance = covariance.copy() if covariance is estimate.covariance else covariance
-                covariance[row], verdicts[row] = _limited(
-                    nodes, motor, result.judgement, estimate, row
-                )
-            if result.assessment.verdict is FitVerdict.MISFIT:
-                verdicts[row] = tuple(map(misfit, verdicts[row]))
+            verdicts = verdicts or list(estimate.verdicts)
+            if limit.widens and covariance is estimate.covariance:
+                covariance = covariance.copy()
+            verdicts[row] = limit.apply(
+                nodes, motor, estimate.value[row], covariance[row], verdicts[row]
+            )
+        if not verdicts:
+            return estimate
         return Estimate(
             estimate.stamp_ns, estimate.parameters, estimate.value, covariance, tuple(verdicts)
         )
 
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
-        self._results = [None] * len(self._tests)
-        self._limited_motors = set(range(len(self._tests)))
+        for motor in range(len(self._tests)):
+            self._keep(motor, None)
         self.schedule.forget()
 
     def state(self, motor: int, received_count: int) -> dict[str, Any]:
@@ -189,24 +174,3 @@ class FitMonitor:
         result = FitResult.restored(plain, received_count) if has_result else None
         self._keep(motor, result)
         self.schedule.restore(plain, motor, received_count, result)
-
-
-def _limited(
-    nodes: ContextUpdate, motor: int, judgement: Judgement, estimate: Estimate, row: int
-) -> tuple[list[list[float]], tuple[Verdict, ...]]:
-    """Return the covariance and the verdicts that a judgement leaves of a row of an estimate."""
-    values = estimate.value[row].tolist()
-    covariance = judgement.widened(values, estimate.covariance[row].tolist())
-    if Verdict.FROZEN in estimate.verdicts[row]:
-        return covariance, estimate.verdicts[row]
-    variances = [part[place] for place, part in enumerate(covariance)]
-    stds = [math.sqrt(x) if x >= 0.0 else math.nan for x in variances]
-    share, reach = nodes.voltage_shares(motor)
-    most = judgement.largest_shares(values, share.tolist(), reach.tolist())
-    verdicts = nodes.verdict_rules.judge_motor(estimate.parameters, values, stds, most)
-    return covariance, tuple(map(_no_better, verdicts, estimate.verdicts[row]))
-
-
-def _no_better(verdict: Verdict, of_the_rule: Verdict) -> Verdict:
-    """Return a verdict that a wider deviation has left, unless the rule knows less."""
-    return verdict if of_the_rule in COUNTS_AS_KNOWN else unsettled(verdict)

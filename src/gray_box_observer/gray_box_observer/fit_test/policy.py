@@ -143,9 +143,9 @@ class Judgement:
         return np.multiply.outer(self.factor, self.factor).tolist(), self.spread.tolist()
 
     @cached_property
-    def _furthest(self) -> list[float]:
-        """Times its value that a parameter may be, by the spread alone."""
-        furthest: list[float] = (1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread))).tolist()
+    def furthest(self) -> Array:
+        """Times its value that a parameter may be, by the spread alone; shape (parameter,)."""
+        furthest: Array = 1.0 + SIGMAS * np.sqrt(np.diagonal(self.spread))
         return furthest
 
     def widened(self, values: list[float], covariance: list[list[float]]) -> list[list[float]]:
@@ -174,7 +174,8 @@ class Judgement:
             share: of the voltage, that one unit of each takes; 0 where that is not known.
             reach: likewise, what may come on top by the deviation of the estimate.
         """
-        columns = zip(self._furthest, values, share, reach, self.factor.tolist(), strict=True)
+        factors = self.factor.tolist()
+        columns = zip(self.furthest.tolist(), values, share, reach, factors, strict=True)
         return [
             furthest * value * unit + beyond * factor if unit > 0.0 else math.inf
             for furthest, value, unit, beyond, factor in columns

@@ -8,34 +8,23 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "verdict_rules.h"
+
 #define MOST_PARAMETERS 5
 /* of a factor's square; well above LEAST_EIGENVALUE of normal_equations.py */
 #define SURELY_DEFINITE 1e-8
-
-/* In the order of estimate.py. */
-enum { IDENTIFIED, CONVERGING, UNEXCITED, FROZEN, IMPLAUSIBLE, MISFIT, NEGLIGIBLE };
 
 /* What is believed, and when a parameter counts as known; regular_estimate.py holds the same
  * list. */
 typedef struct {
     int64_t parameters;
-    double lower[MOST_PARAMETERS], upper[MOST_PARAMETERS];
-    double identified_relative_std, excited_relative_std, bound_tolerance, negligible_share,
-        log_normal;
+    VerdictRules rules;
+    double log_normal;
     /* of motors by coordinate; by state and coordinates, squared; by nothing */
     const double *p, *covariance, *noise;
     /* of motors by parameter: of the voltage, a unit's and what may come on top; or NULL */
     const double *share, *reach;
 } Believed;
-
-static uint8_t verdict(const Believed *b, int i, double value, double std)
-{
-    if (value <= b->lower[i] * (1.0 + b->bound_tolerance)
-        || value >= b->upper[i] * (1.0 - b->bound_tolerance))
-        return IMPLAUSIBLE;
-    if (!(std <= b->excited_relative_std * value)) return UNEXCITED;
-    return std <= b->identified_relative_std * value ? IDENTIFIED : CONVERGING;
-}
 
 /* Whether a covariance of positive variances is positive definite by more than rounding:
  * normal_equations.py, definite. It is by Cholesky factors of the correlations, the smallest of
@@ -82,18 +71,17 @@ int64_t tell_estimates(
             for (int j = 0; j < n; j++) moved[i][j] = moved[i][j] * theta[i] * theta[j];
         }
         for (int i = 0; i < n; i++) {
-            const double x = theta[i] < b->lower[i] ? b->lower[i] : theta[i];
-            value[i] = x > b->upper[i] ? b->upper[i] : x;
+            const double x = theta[i] < b->rules.lower[i] ? b->rules.lower[i] : theta[i];
+            value[i] = x > b->rules.upper[i] ? b->rules.upper[i] : x;
             for (int j = 0; j < n; j++) covariance[i * n + j] = 0.5 * (moved[i][j] + moved[j][i]);
         }
         for (int i = 0; i < n; i++) {
             const double variance = covariance[i * n + i], widest = b->log_normal * value[i];
             if (!(variance <= widest * widest && variance > 0.0)) return 0;
-            verdicts[k * n + i] = verdict(b, i, value[i], sqrt(variance));
             const double share = b->share ? b->share[motor * n + i] : 0.0;
-            if (share > 0.0 && verdicts[k * n + i] != IDENTIFIED
-                && value[i] * share + b->reach[motor * n + i] < b->negligible_share)
-                verdicts[k * n + i] = NEGLIGIBLE;
+            const double most =
+                share > 0.0 ? value[i] * share + b->reach[motor * n + i] : INFINITY;
+            verdicts[k * n + i] = verdict(&b->rules, i, value[i], sqrt(variance), most);
         }
         if (!definite(n, covariance)) return 0;
     }

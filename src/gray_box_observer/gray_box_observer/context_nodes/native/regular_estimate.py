@@ -19,16 +19,15 @@ from gray_box_observer.context_nodes.estimate import (
 )
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.native.compiled import address
+from gray_box_observer.context_nodes.native.verdict_rules import VerdictRules
 from gray_box_observer.context_nodes.recursive.belief import Belief
-from gray_box_observer.white_box.interface import Array, Parameter, bounds
+from gray_box_observer.white_box.interface import Array, Parameter
 
 MOST_PARAMETERS = 5
 """Room in `regular_estimate.c`."""
 
 _COUNT = ctypes.c_int64
-_NUMBER = ctypes.c_double
 _POINTER = ctypes.c_void_p
-_RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance', 'negligible_share')
 
 
 class _Believed(ctypes.Structure):
@@ -36,8 +35,8 @@ class _Believed(ctypes.Structure):
 
     _fields_ = (
         ('parameters', _COUNT),
-        *((name, _NUMBER * MOST_PARAMETERS) for name in ('lower', 'upper')),
-        *((name, _NUMBER) for name in (*_RULES, 'log_normal')),
+        ('rules', VerdictRules),
+        ('log_normal', ctypes.c_double),
         *((name, _POINTER) for name in ('p', 'covariance', 'noise', 'share', 'reach')),
     )
 
@@ -62,10 +61,8 @@ class RegularEstimates:
             return
         self._library.tell_estimates.argtypes = (_POINTER, _POINTER, _COUNT, *3 * (_POINTER,))
         self._library.tell_estimates.restype = _COUNT
-        lower, upper = bounds(parameters)
-        self._belief_pointers = _Believed(
-            n, tuple(lower.tolist()), tuple(upper.tolist()), log_normal=LOG_NORMAL
-        )
+        rules = VerdictRules.between_bounds(parameters)
+        self._belief_pointers = _Believed(n, rules, LOG_NORMAL)
         self._about = ctypes.byref(self._belief_pointers)
         self._places = np.empty(motors, dtype=np.int64)
         self._results = (
@@ -138,8 +135,7 @@ class RegularEstimates:
     def _point(self, belief: Belief, rules: VerdictSettings) -> bool:
         """Let the compiled code read this belief; tell whether it can."""
         if rules is not self._rules:
-            for name in _RULES:
-                setattr(self._belief_pointers, name, getattr(rules, name))
+            self._belief_pointers.rules.follow(rules)
             self._rules = rules
         if belief is not self._belief:
             arrays = belief.p, belief.covariance, belief.noise

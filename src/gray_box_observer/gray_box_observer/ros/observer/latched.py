@@ -6,12 +6,10 @@ left standing: its publisher goes, and comes back with the next number.
 
 from __future__ import annotations
 
-from typing import Any
-
 from rclpy.lifecycle import LifecycleNode
 
 from gray_box_observer.ros import topics
-from gray_box_observer.ros.qos import advertise
+from gray_box_observer.ros.observer.serialized_publisher import SerializedPublisher
 
 
 class LatchedTopic:
@@ -28,55 +26,55 @@ class LatchedTopic:
         self._topic = topic
         self._name = topic.name.format(**names)
         self._holds_value = False
-        self._publisher: Any = self._create()
+        self._publisher: SerializedPublisher | None = self._create()
 
     @property
     def holds_value(self) -> bool:
         """Whether a late subscriber hears something."""
         return self._holds_value
 
-    def __call__(self, message: Any) -> None:
-        """Publish a message, or its bytes; only while the node is active."""
-        if self._publisher is None:
-            self._publisher = self._create()
-            self._publisher.on_activate(None)
+    def __call__(self, message: bytes) -> None:
+        """Publish a serialised message; only while the node is active."""
+        publisher = self._publisher
+        if publisher is None:
+            publisher = self._publisher = self._create()
+            publisher.activate()
         self._holds_value = True
-        self._publisher.publish(message)
+        publisher(message)
 
-    def correct(self, message: Any) -> None:
+    def correct(self, message: bytes) -> None:
         """Publish what holds now instead of what is latched, in whatever state the node is."""
-        if self._publisher.is_activated:
+        publisher = self._publisher
+        if publisher is None or publisher.is_active:
             self(message)
             return
-        self._publisher.on_activate(None)
+        publisher.activate()
         try:
             self(message)
         finally:
-            self._publisher.on_deactivate(None)
+            publisher.deactivate()
 
     def retract(self) -> None:
         """Leave nothing for late subscribers."""
         if self._holds_value:
-            self._node.destroy_lifecycle_publisher(self._publisher)
-            self._publisher = None
-            self._holds_value = False
+            self.close()
 
     def close(self) -> None:
         """Take the topic away for good."""
         if self._publisher is not None:
-            self._node.destroy_lifecycle_publisher(self._publisher)
+            self._publisher.destroy()
             self._publisher = None
             self._holds_value = False
 
     @property
     def is_active(self) -> bool:
         """Whether what is published goes out."""
-        return self._publisher is not None and bool(self._publisher.is_activated)
+        return self._publisher is not None and self._publisher.is_active
 
     def activate(self) -> None:
         """Publish from now on: of a topic that came while the node was active."""
-        self._publisher.on_activate(None)
+        if self._publisher is not None:
+            self._publisher.activate()
 
-    def _create(self) -> Any:
-        topic = self._topic
-        return advertise(self._node.create_lifecycle_publisher, topic.type, self._name, topic.qos)
+    def _create(self) -> SerializedPublisher:
+        return SerializedPublisher(self._node, self._topic, self._name)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate
@@ -27,12 +27,10 @@ from gray_box_observer.ros.observer.message_templates import (
     yes_and_no,
 )
 from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
-from gray_box_observer.ros.qos import advertise
+from gray_box_observer.ros.observer.serialized_publisher import SerializedPublisher
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array, Parameter
-
-Publish = Callable[[Any], None]
 
 UNTESTED = 0.0
 """Ratio on ``~/<motor>/fit`` where what was tested is forgotten: no real one is so small."""
@@ -58,9 +56,9 @@ class Outputs:
         require_going_on: Callable[[], None] = lambda: None,
     ) -> None:
         self._node = node
-        self._predicted_torque = self._create(node, topics.PREDICTED_TORQUE)
+        self._predicted_torque = _advertised(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
-        self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
+        self._forecast = _advertised(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
         motors = configuration.motors if configuration['motor_topics'] else {}
         self._identified_topics: dict[str, LatchedTopic] = {}
@@ -77,7 +75,7 @@ class Outputs:
         self._published_identified: dict[str, tuple[bool, ...]] = {}
         self._torques = JointMessages()
         self._speeds = JointMessages('velocity')
-        self._speed = self._create(node, topics.SPEED)
+        self._speed = _advertised(node, topics.SPEED)
         alone = len(configuration.motors) < configuration['group_from']
         for m, motor in motors.items():
             require_going_on()
@@ -92,14 +90,6 @@ class Outputs:
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarm_flags: dict[tuple[str, ...], NDArray[np.bool_]] = {}
         self._alarm_states: dict[str, bool] = {}
-
-    @staticmethod
-    def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False) -> Publish:
-        publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name, topic.qos)
-        if active:
-            publisher.on_activate(None)  # type: ignore[attr-defined]
-        publish: Publish = publisher.publish
-        return publish
 
     def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, and every changed estimate."""
@@ -173,7 +163,8 @@ class Outputs:
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish the torques at the horizon, if the voltage is held until then, once each."""
         if self._forecast is None:  # asked for while the node runs
-            self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
+            self._forecast = _advertised(self._node, topics.FORECAST_TORQUE)
+            self._forecast.activate()
         if self._foretold.get(names) == stamp_ns:
             return
         data = self._torques.render(names, stamp_ns, torque_nm)
@@ -231,7 +222,7 @@ class Outputs:
         for label, size in zip(labels, table.shape, strict=True):
             message.layout.dim.append(MultiArrayDimension(label=label, size=size, stride=stride))
             stride //= size
-        self._estimates(message)
+        self._estimates(serialize_message(message))
 
     def estimate(self, motor: str, estimate: Estimate, is_identified: bool | None = None) -> None:
         """Publish values, covariance and whether all is identified; None: by the verdicts."""
@@ -335,3 +326,8 @@ class Outputs:
             topic.retract()
         if motor in self._speed_std:
             self._speed_std[motor].retract()
+
+
+def _advertised(node: LifecycleNode, topic: topics.Topic) -> SerializedPublisher:
+    """Return a publisher of a topic whose name is no motor's."""
+    return SerializedPublisher(node, topic, topic.name)
