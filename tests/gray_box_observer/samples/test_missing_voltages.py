@@ -64,27 +64,54 @@ def test_there_is_no_newest_voltage_while_nobody_knows_what_it_does() -> None:
     assert pairing.newest_voltage == (3310 * MS, 2.0)
 
 
-@pytest.mark.parametrize('delivered_late', [False, True])
-def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_late: bool) -> None:
-    """Torque goes on in an outage of the voltage, or comes first when both arrive later."""
-    voltages, torques = steady(1500)
-    out = [e for e in voltages if 12_000 <= e[1] < 13_000]
-    comes = {e: 13_000.0 if e in out else float(e[1]) for e in voltages + torques}
+@pytest.mark.parametrize(('delivered_late', 'outage_ms'), [(False, 1000), (True, 7000)])
+def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(
+    delivered_late: bool, outage_ms: int
+) -> None:
+    """Torque goes on in an outage of the voltage, or comes long before it when both arrive late."""
+    voltages, torques = steady(2100)
+    end_ms = 12_000 + outage_ms
+    out = [e for e in voltages if 12_000 <= e[1] < end_ms]
+    comes = {e: float(end_ms if e in out else e[1]) for e in voltages + torques}
     events = sorted(
         [e for e in comes if delivered_late or e not in out], key=lambda e: (comes[e], e[1])
     )
     pairing = Pairing()
     samples = feed(pairing, events) + pairing.flush()
-    expected = {
-        s.stamp_ns: content([s])
-        for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))
-    }
-    learnt = [s for s in samples[1:] if s.interval_s[0] > 0.0 and s.stamp_ns <= 14_980 * MS]
+    expected = in_time(voltages + torques)
+    learnt = [s for s in samples[1:] if s.interval_s[0] > 0.0 and s.stamp_ns <= 20_980 * MS]
     wrong = [s.stamp_ns // MS for s in learnt if content([s]) != expected[s.stamp_ns]]
     assert all(12_000 < at <= 12_200 for at in wrong), 'what is not yet overdue is taken to hold on'
     assert len([s for s in samples if s.interval_s[0] == 0.0]) == 2
     assert pairing.rejected[Rejection.NO_VOLTAGE] > 50
     assert pairing.received_torque == pairing.used_count + pairing.refusal_counts['torque'].total()
+
+
+@pytest.mark.parametrize('first', ['t', 'v'])
+@pytest.mark.parametrize('begin_ms', [3000, 12_000])
+@pytest.mark.parametrize('stall_ms', [400, 1400, 4900])
+def test_a_reader_that_was_busy_uses_every_sample_whichever_topic_it_reads_first(
+    stall_ms: int, begin_ms: int, first: str
+) -> None:
+    """Nothing is lost in a stall, but then one topic is read to its end before the other."""
+    voltages, torques = steady(2000)
+    end_ms = begin_ms + stall_ms
+    events = sorted(
+        voltages + torques,
+        key=lambda e: (end_ms - 1, e[0] != first, e[1]) if begin_ms <= e[1] < end_ms else (e[1],),
+    )
+    pairing = Pairing()
+    samples = feed(pairing, events) + pairing.flush()
+    assert [(s.stamp_ns, content([s])) for s in samples] == [*in_time(voltages + torques).items()]
+    assert pairing.used_count == 2000
+    assert pairing.rejected == {}
+
+
+def in_time(events: list[Event]) -> dict[int, object]:
+    """Return the samples of events that come in the order of their stamps, by stamp in ns."""
+    pairing = Pairing()
+    samples = feed(pairing, sorted(events, key=lambda e: e[1])) + pairing.flush()
+    return {s.stamp_ns: content([s]) for s in samples}
 
 
 @pytest.mark.parametrize('ahead_ms', [0, 900])

@@ -111,6 +111,11 @@ class HeldVoltage:
         )
 
     @property
+    def is_expected(self) -> bool:
+        """Whether a voltage that is late will come, for it has always come whether it changed."""
+        return self._rhythm.is_expected
+
+    @property
     def patience_s(self) -> float:
         """How long a voltage of one motor of a group may be missing before it is overdue, s."""
         return self._rhythm.silence_s if self._rhythm.regular else math.inf

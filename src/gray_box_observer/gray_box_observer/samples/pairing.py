@@ -40,6 +40,10 @@ from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
+PATIENCE_NS = 5_000_000_000
+"""How far torque may run ahead of a voltage that has always come. Without it a sample could not be
+used; and a reader that was busy finds the messages of one topic behind those of the other."""
+
 
 @dataclass(frozen=True, slots=True)
 class PairingSettings:
@@ -48,7 +52,8 @@ class PairingSettings:
     Attributes:
         gap_s: a longer silence of torque starts the signal history anew; it never becomes a
             derivative.
-        hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on.
+        hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on,
+            at least: of a voltage that has always come it is PATIENCE_NS.
         jump_back_s: a stamp that is earlier than the newest by more than this means that the clock
             was set back or a bag began again (the signal history restarts); by less, that the
             message was merely out of order.
@@ -129,7 +134,9 @@ class Pairing:
         self._gap_ns = round(rules.gap_s * 1e9)
         self._jump_ns = round(rules.jump_back_s * 1e9)
         # a voltage that is stamped late comes late, and torque has to wait for it that much longer
-        self._hold_ns = round(rules.hold_s * 1e9) + max(0, -self._delay_ns)
+        late_ns = max(0, -self._delay_ns)
+        self._hold_ns = round(rules.hold_s * 1e9) + late_ns
+        self._patience_ns = max(self._hold_ns, PATIENCE_NS + late_ns)
 
     def _set_delay(self, delay_s: float) -> None:
         self._delay_ns = nanoseconds(delay_s)
@@ -311,7 +318,8 @@ class Pairing:
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         samples += self._complete(self._known_ns())
         if self._torques:
-            held_samples = self._complete(stamp_ns - self._hold_ns)
+            hold_ns = self._patience_ns if self._voltages.is_expected else self._hold_ns
+            held_samples = self._complete(stamp_ns - hold_ns)
             self.held_count += len(held_samples)
             samples += held_samples
         return samples
