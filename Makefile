@@ -41,8 +41,9 @@ demo: setup  ## identify a simulated motor live (DURATION= MOTOR=thesis|geared E
 		$(if $(PARAMS),--params '$(PARAMS)') $(DEMO_ARGS)
 
 # More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
+# Few tests at a time, or one process is left alone at the end with a hundred tests of nodes.
 test: setup  ## run every test (ARGS='-k pairing' WORKERS=4)
-	$(ONE_THREAD) $(RUN) python -m pytest -n $(WORKERS) --dist load $(ARGS)
+	$(ONE_THREAD) $(RUN) python -m pytest -n $(WORKERS) --dist load --maxschedchunk 16 $(ARGS)
 
 test-fast: setup  ## tests that start no node and no process and take no time (ARGS='-k pairing')
 	$(ONE_THREAD) $(RUN) python -m pytest -n 2 --dist load -m 'not live and not system and not slow' $(ARGS)
