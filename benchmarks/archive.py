@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from common.figures import Figure, figure_table, last_line, table
+from common.progress import progress_bar
 from common.simulated_bags import write_bag
-from tqdm import tqdm
 
 from gray_box_observer.identify.archive.bag_work import BagResult, BagWork
 from gray_box_observer.identify.archive.process_engine import ProcessEngine
@@ -37,7 +37,7 @@ GROWTH_A_MONTH = 0.01
 def make_archive(folder: Path, bags: int) -> list[Path]:
     """Make one bag a day of a motor whose resistance grows."""
     paths = []
-    for day in tqdm(range(bags), desc='making bags', disable=None, leave=False):
+    for day in progress_bar(range(bags), desc='making bags', leave=False):
         path = folder / f'{day:04}'
         resistance = 1.0 + GROWTH_A_MONTH * day * 86_400.0 / MONTH_S
         write_bag(
@@ -53,7 +53,7 @@ def timed(
     """Read every bag; return the wall time in s and the results in the order of the bags."""
     start = time.perf_counter()
     found = dict(
-        tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False)
+        progress_bar(engine.run(work, bags), desc=engine.name, total=len(bags), leave=False)
     )
     return time.perf_counter() - start, [found[index] for index in range(len(bags))]
 

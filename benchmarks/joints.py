@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from common.figures import Figure, figure_table, last_line, table
 from common.joints.drawn_joints import LOADS
 from common.joints.joint_records import joint_record
+from common.progress import progress_bar
 from common.trust.trial import LONGEST_FALSE_S, RELATIVE, Trial, run_trial
-from tqdm import tqdm
 
 JOINTS = 150
 QUICK_JOINTS = 6
@@ -120,7 +120,7 @@ def main() -> int:
     seeds = range(options.first_seed, options.first_seed + count)
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = pool.map(try_joint, seeds)
-        trials = list(tqdm(jobs, total=count, unit='joint', disable=None))
+        trials = list(progress_bar(jobs, total=count, unit='joint'))
     header = ['joints', 'all', 'R known', 'R within 2 %', 'load found', 'misfit', 'false', '> 1 s']
     print(table(header, rows(trials)), end='\n\n')
     for trial in trials:

@@ -26,7 +26,7 @@ from common.prediction import (
     taught_from_scratch,
     theta_of,
 )
-from tqdm import tqdm
+from common.progress import progress_bar
 
 SLOW_HZ = 5.0
 """Slow sampling: an interval is a good part of a time constant, and the way there matters."""
@@ -44,7 +44,7 @@ class Progress:
     """One bar over all the work."""
 
     def __init__(self, total: int) -> None:
-        self._bar = tqdm(total=total, unit='run', disable=None)
+        self._bar = progress_bar(total=total, unit='run')
 
     def done(self, what: str) -> None:
         """Count one piece."""

@@ -30,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
+from common.progress import progress_bar
 from common.real_prediction import Log, Outcome, Task, solve
 from real_motors import (
     DEAD_CURRENT_SENSOR,
@@ -44,7 +45,6 @@ from real_motors import (
     step_cases,
     without_measurements,
 )
-from tqdm import tqdm
 
 from gray_box_observer.errors import GrayBoxError
 
@@ -234,7 +234,7 @@ def main() -> int:
         return without_measurements('real_prediction', data, asked=options.data is not None)
     found: dict[str, list[Outcome]] = {}
     try:
-        for group, task, seed in tqdm(todo, unit='run', disable=None):
+        for group, task, seed in progress_bar(todo, unit='run'):
             found.setdefault(group, []).extend(solve(task, seed, 1 if options.quick else ROUNDS))
     except GrayBoxError as error:
         print(f'real_prediction: error: {" ".join(str(error).split())}', file=sys.stderr)

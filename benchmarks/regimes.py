@@ -16,7 +16,7 @@ from common.cases import THESIS_MOTOR
 from common.figures import Figure, figure_table, last_line, number, table
 from common.motion import FloatArray
 from common.prediction import theta_of, white_box
-from tqdm import tqdm
+from common.progress import progress_bar
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
@@ -155,7 +155,7 @@ def main() -> int:
     # a round of learning is due after a thousand samples at the earliest: jobs need not come every
     # hundred
     kept = TrainingSettings(period=500, replay_capacity=1100 if options.quick else 6000)
-    bar = tqdm(total=2 * seeds * len(motors), unit='run', disable=None)
+    bar = progress_bar(total=2 * seeds * len(motors), unit='run')
     rows = []
     figures = []
     for motor in motors:

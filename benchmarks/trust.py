@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from common.figures import Figure, figure_table, last_line
+from common.progress import progress_bar
 from common.trust.drawn import drawn_figures, drawn_table, run_drawn
 from common.trust.judge import class_table, figures, record_table
 from common.trust.real_logs import RealMotor, real_figures, real_logs, real_table, run_real_log
@@ -26,7 +27,6 @@ from common.trust.records import make_record
 from common.trust.scenarios import half, scenarios
 from common.trust.trial import Trial, run_trial
 from real_motors import DEFAULT_DATA
-from tqdm import tqdm
 
 BEFORE = Path(__file__).parent / 'common' / 'trust' / 'before.json'
 
@@ -44,7 +44,7 @@ def run_all(
     results = []
     with (
         ProcessPoolExecutor(processes) as pool,
-        tqdm(total=len(jobs), unit=unit, disable=None) as bar,
+        progress_bar(total=len(jobs), unit=unit) as bar,
     ):
         for result in pool.map(work, jobs):
             results.append(result)

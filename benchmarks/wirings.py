@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, table
+from common.progress import progress_bar
 from common.wirings.mistakes import MISTAKES, NOMINAL, Mistake, right_parameters
 from common.wirings.robot import (
     START_NS,
@@ -27,7 +28,6 @@ from common.wirings.robot import (
     drive,
     messages,
 )
-from tqdm import tqdm
 
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.data_sheet import contradiction
@@ -190,9 +190,9 @@ def main() -> int:
         jobs = [pool.submit(try_mistake, k, seed) for k in range(len(MISTAKES)) for seed in seeds]
         flag = partial(false_flags, options.robot_s)
         long_jobs = [pool.submit(flag, 10_000 + options.first_seed + k) for k in range(robots)]
-        results = [job.result() for job in tqdm(jobs, unit='mistake', disable=None)]
+        results = [job.result() for job in progress_bar(jobs, unit='mistake')]
         runs = []
-        for job in tqdm(long_jobs, unit='robot', disable=None):
+        for job in progress_bar(long_jobs, unit='robot'):
             runs.append(job.result())
             for line in runs[-1][0]:
                 print(line, flush=True)
