@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 from gray_box_observer.context_nodes.estimate import Verdict, VerdictSettings
 from gray_box_observer.context_nodes.native import widened_estimate
+from gray_box_observer.context_nodes.native.verdict_rules import MOST_JUDGED
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.fit_result import FitResult
@@ -65,20 +68,40 @@ def test_compiled_code_limits_as_plain_numbers_do_to_the_last_bit() -> None:
         by_hand._native.is_compiled = False
         own = covariance.copy()
         other = covariance.copy()
-        left = limit.apply(nodes, 1, value, own, verdicts)
-        assert left == by_hand.apply(nodes, 1, value, other, verdicts)
+        remainder = limit.apply(nodes, 1, value, own, verdicts)
+        assert remainder == by_hand.apply(nodes, 1, value, other, verdicts)
         assert own.tobytes() == other.tobytes()
         assert own.tobytes() != covariance.tobytes()
-        union.update(left)
+        union.update(remainder)
     assert union == set(Verdict) - {Verdict.FROZEN}
+
+
+def test_the_compiled_code_is_built() -> None:
+    if shutil.which('cc') is None and shutil.which('gcc') is None:
+        pytest.skip('no C compiler')
+    assert widened_estimate.library() is not None, 'ros_ws/setup.sh builds it'
+
+
+def test_more_parameters_than_it_has_room_for_are_left_to_plain_numbers() -> None:
+    parameters = BOX.parameters * 4
+    assert len(parameters) > MOST_JUDGED
+    count = len(parameters)
+    judgement = Judgement(FitVerdict.OK, 2.0 * np.ones(count), np.zeros((count, count)))
+    limit = EstimateLimit(parameters, replace(result_of(1.0, 0.0), judgement=judgement))
+    assert not limit._native.is_compiled
+    nothing = np.zeros((1, count))
+    covariance = np.eye(count)
+    verdicts = (Verdict.IDENTIFIED,) * count
+    limit.apply(nodes_with(nothing, nothing), 0, np.ones(count), covariance, verdicts)
+    np.testing.assert_array_equal(covariance, 4.0 * np.eye(count))
 
 
 def test_without_a_test_nothing_is_identified_and_the_covariance_stays() -> None:
     limit = EstimateLimit(BOX.parameters, None)
     covariance = np.eye(COUNT)
     verdicts = (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE, Verdict.UNEXCITED, Verdict.IMPLAUSIBLE)
-    left = limit.apply(nodes_with([], []), 0, np.ones(COUNT), covariance, verdicts)
-    assert left == (Verdict.CONVERGING,) * 2 + verdicts[2:]
+    remainder = limit.apply(nodes_with([], []), 0, np.ones(COUNT), covariance, verdicts)
+    assert remainder == (Verdict.CONVERGING,) * 2 + verdicts[2:]
     np.testing.assert_array_equal(covariance, np.eye(COUNT))
     assert not (limit.is_open or limit.widens)
 

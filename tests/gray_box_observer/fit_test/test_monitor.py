@@ -349,8 +349,11 @@ def test_what_the_rule_does_not_believe_no_wider_deviation_makes_believed() -> N
     believed = motor.estimate
     assert believed.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
     unbelieved = replace(believed, verdicts=((Verdict.CONVERGING, Verdict.IDENTIFIED),))
+    plain_covariance = believed.covariance.copy()
     judged = monitor.judged(nodes, unbelieved, np.array([0]))
     assert judged.verdicts == unbelieved.verdicts
+    assert (judged.covariance != plain_covariance).any()
+    np.testing.assert_array_equal(believed.covariance, plain_covariance)
     assert monitor.judged(nodes, believed, np.array([0])).verdicts == believed.verdicts
 
 

@@ -20,14 +20,33 @@ from gray_box_observer.observer.motor_group import GroupResult
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.parameter_belief import ParameterBelief
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
     JointMessages,
     MessageTemplate,
     value_template,
 )
+from gray_box_observer.ros.observer.serialized_publisher import SerializedPublisher
 from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
+
+
+class Publisher:
+    """Stands in for a lifecycle publisher of an active node."""
+
+    def __init__(self, sent: list, topic: str) -> None:
+        self.is_activated = True
+        self.handle = SimpleNamespace(publish_raw=lambda data: sent.append((topic, data)))
+
+    def on_activate(self, _):
+        """Let messages out."""
+        self.is_activated = True
+
+    def on_deactivate(self, _):
+        """Hold them back."""
+        self.is_activated = False
 
 
 class Node:
@@ -38,14 +57,37 @@ class Node:
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
-        return SimpleNamespace(
-            handle=SimpleNamespace(publish_raw=lambda data: self.sent.append((topic, data))),
-            on_activate=lambda _: None,
-            is_activated=True,
-        )
+        return Publisher(self.sent, topic)
 
     def destroy_lifecycle_publisher(self, publisher):
         """Let one go."""
+
+
+def test_what_is_serialised_goes_out_while_the_node_is_active_and_the_topic_there() -> None:
+    node = Node()
+    publisher = SerializedPublisher(node, topics.PREDICTED_TORQUE, 'topic')
+    publisher.deactivate()
+    publisher(b'held back')
+    assert not publisher.is_active
+    publisher.activate()
+    publisher(b'out')
+    publisher.destroy()
+    publisher(b'too late')
+    assert node.sent == [('topic', b'out')]
+
+
+def test_a_correction_leaves_an_inactive_topic_inactive_though_its_publisher_had_gone() -> None:
+    node = Node()
+    topic = LatchedTopic(node, topics.IDENTIFIED, motor='motor')
+    topic(b'yes')
+    topic.retract()
+    assert not topic.holds_value
+    topic(b'yes')
+    topic._publisher.deactivate()
+    topic.correct(b'no')
+    assert topic.holds_value
+    assert not topic.is_active
+    assert [data for _, data in node.sent] == [b'yes', b'yes', b'no']
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.samples import Pairing, Rejection
-from gray_box_observer.samples.pairing import PairingSettings
+from gray_box_observer.samples.pairing import MOST_PATIENT, PairingSettings
 
 from .pairing_events import MS, Event, content, feed, steady
 
@@ -88,23 +88,74 @@ def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(
 
 
 @pytest.mark.parametrize('first', ['t', 'v'])
-@pytest.mark.parametrize('begin_ms', [3000, 12_000])
 @pytest.mark.parametrize('stall_ms', [400, 1400, 4900])
 def test_a_reader_that_was_busy_uses_every_sample_whichever_topic_it_reads_first(
-    stall_ms: int, begin_ms: int, first: str
+    stall_ms: int, first: str
 ) -> None:
     """Nothing is lost in a stall, but then one topic is read to its end before the other."""
     voltages, torques = steady(2000)
-    end_ms = begin_ms + stall_ms
-    events = sorted(
-        voltages + torques,
-        key=lambda e: (end_ms - 1, e[0] != first, e[1]) if begin_ms <= e[1] < end_ms else (e[1],),
-    )
     pairing = Pairing()
-    samples = feed(pairing, events) + pairing.flush()
+    samples = feed(pairing, stalled(voltages + torques, 12_000, stall_ms, first)) + pairing.flush()
     assert [(s.stamp_ns, content([s])) for s in samples] == [*in_time(voltages + torques).items()]
     assert pairing.used_count == 2000
     assert pairing.rejected == {}
+
+
+def test_what_a_reader_that_was_busy_has_paired_can_be_paired_anew() -> None:
+    """At 1 kHz, torque first: raw signals and samples are those of messages in order."""
+    events: list[Event] = [
+        (signal, at, 1.0 + at % 7) for at in range(6000) for signal in ('v', 't')
+    ]
+    ordered = Pairing()
+    busy = Pairing()
+    feed(ordered, events)
+    feed(busy, stalled(events, 4500, 1000, 't'))
+    until_ns = 5900 * MS
+    expected, found = (one.history.signals(until_ns, 0) for one in (ordered, busy))
+    assert expected is not None
+    assert found is not None
+    np.testing.assert_array_equal(found.time_s, expected.time_s)
+    np.testing.assert_array_equal(found.voltage_v, expected.voltage_v)
+    again = [one.redelay(0.002, until_ns)[0] for one in (ordered, busy)]
+    assert content(again[0]) == content(again[1])
+    assert busy.used_count == ordered.used_count
+    assert busy.waiting_count == ordered.waiting_count
+
+
+def test_torque_waits_in_vain_but_once_for_a_voltage_that_has_ended() -> None:
+    """It waits 5 s or for 1024 torques; from then on it is no later than it would have been."""
+    for step_ms, most in ((10, 501), (1, MOST_PATIENT + 1)):
+        pairing = Pairing()
+        feed(pairing, [(s, k * step_ms, 1.0) for k in range(1100) for s in ('v', 't')])
+        waiting = []
+        for k in range(1100, 3000):
+            feed(pairing, [('t', k * step_ms, 1.0)])
+            waiting.append(pairing.waiting_count)
+        assert most - 3 <= max(waiting) <= most
+        assert max(waiting[max(most, 1100) :]) <= 250 // step_ms + 1
+        assert pairing.rejected[Rejection.NO_VOLTAGE] > 500
+        feed(pairing, [(s, k * step_ms, 2.0) for k in range(3000, 4100) for s in ('v', 't')])
+        feed(pairing, [('t', k * step_ms, 1.0) for k in range(4100, 4100 + 300 // step_ms)])
+        assert pairing.waiting_count > 300 // step_ms - 3, 'it has long come again'
+
+
+def test_a_speed_that_has_ended_is_not_waited_for_like_a_voltage() -> None:
+    pairing = Pairing(own_speed=True)
+    for k in range(1500):
+        feed(pairing, [('v', 10 * k, 1.0)])
+        if k < 1200:
+            pairing.speed(10 * k * MS, 1.0)
+        feed(pairing, [('t', 10 * k, 1.0)])
+        assert pairing.waiting_count <= 26
+
+
+def stalled(events: list[Event], begin_ms: int, stall_ms: int, first: str) -> list[Event]:
+    """Return events as a reader takes them that is busy for a while, then reads one topic first."""
+    end_ms = begin_ms + stall_ms
+    return sorted(
+        events,
+        key=lambda e: (end_ms - 1, e[0] != first, e[1]) if begin_ms <= e[1] < end_ms else (e[1],),
+    )
 
 
 def in_time(events: list[Event]) -> dict[int, object]:

@@ -43,6 +43,7 @@ class EstimateLimit:
             self._native = WidenedEstimate(
                 parameters,
                 self._judgement.factor,
+                self._judgement.factors,
                 self._judgement.spread,
                 self._judgement.furthest,
             )
@@ -59,7 +60,7 @@ class EstimateLimit:
             nodes: the rule that has learnt the motor.
             motor: its place on the motor axis.
             value: shape (parameter,): its estimate.
-            covariance: shape (parameter, parameter), in C order: as the rule gives it.
+            covariance: shape (parameter, parameter): as the rule gives it.
             verdicts: likewise.
         """
         if not self._is_tested:

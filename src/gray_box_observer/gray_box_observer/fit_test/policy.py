@@ -139,8 +139,14 @@ class Judgement:
         return bool((self.factor > 1.0).any() or self.spread.any())
 
     @cached_property
+    def factors(self) -> Array:
+        """By which covariances grow, shape (parameter, parameter)."""
+        factors: Array = np.multiply.outer(self.factor, self.factor)
+        return factors
+
+    @cached_property
     def _factors_and_spread(self) -> tuple[list[list[float]], list[list[float]]]:
-        return np.multiply.outer(self.factor, self.factor).tolist(), self.spread.tolist()
+        return self.factors.tolist(), self.spread.tolist()
 
     @cached_property
     def furthest(self) -> Array:

@@ -111,9 +111,9 @@ class HeldVoltage:
         )
 
     @property
-    def is_expected(self) -> bool:
-        """Whether a voltage that is late will come, for it has always come whether it changed."""
-        return self._rhythm.is_expected
+    def is_regular(self) -> bool:
+        """Whether the voltage has long come whether it changed or not: a late one will come."""
+        return self._rhythm.regular
 
     @property
     def patience_s(self) -> float:

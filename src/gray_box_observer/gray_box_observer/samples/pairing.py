@@ -35,14 +35,18 @@ from gray_box_observer.samples.counts import PairingCounts, RefusalCounts
 from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
 from gray_box_observer.samples.own_speed import OwnSpeed
-from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.raw_history import SLACK, RawHistory
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
 PATIENCE_NS = 5_000_000_000
-"""How far torque may run ahead of a voltage that has always come. Without it a sample could not be
-used; and a reader that was busy finds the messages of one topic behind those of the other."""
+"""How far torque may run ahead of a voltage that has always come, at least. A reader that was busy
+finds the messages of one topic behind those of the other; without the voltage torque is refused."""
+
+MOST_PATIENT = SLACK
+"""Torques that may wait so: the raw history allows for as many in another order, and the queue of a
+topic holds no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +56,8 @@ class PairingSettings:
     Attributes:
         gap_s: a longer silence of torque starts the signal history anew; it never becomes a
             derivative.
-        hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on,
-            at least: of a voltage that has always come it is PATIENCE_NS.
+        hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on;
+            further, up to PATIENCE_NS, where the voltage has always come.
         jump_back_s: a stamp that is earlier than the newest by more than this means that the clock
             was set back or a bag began again (the signal history restarts); by less, that the
             message was merely out of order.
@@ -149,6 +153,7 @@ class Pairing:
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
+        self._is_patient = True
         self._voltages.restart()
         self._torques: deque[tuple[int, Any, Any]] = deque()
         self._speeds.restart()
@@ -276,6 +281,7 @@ class Pairing:
         if samples is None:
             return []
         self.taken_voltage += 1
+        self._is_patient = True
         self.history.voltage(raw_ns, voltage_v)
         filled_v = self._joining.filled(stamp_ns, voltage_v, self._voltages)
         is_missing = None if filled_v is voltage_v else np.isnan(voltage_v)
@@ -318,11 +324,22 @@ class Pairing:
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         samples += self._complete(self._known_ns())
         if self._torques:
-            hold_ns = self._patience_ns if self._voltages.is_expected else self._hold_ns
-            held_samples = self._complete(stamp_ns - hold_ns)
+            held_samples = self._complete(stamp_ns - self._hold_limit_ns(stamp_ns))
             self.held_count += len(held_samples)
             samples += held_samples
         return samples
+
+    def _hold_limit_ns(self, stamp_ns: int) -> int:
+        """Return how far torque may run ahead of what it waits for; its newest stamp is given."""
+        oldest_ns = self._torques[0][0]
+        voltage_ns = self._voltages.newest_ns
+        awaits_voltage = voltage_ns is not None and voltage_ns < oldest_ns
+        if not (self._is_patient and awaits_voltage and self._voltages.is_regular):
+            return self._hold_ns
+        if stamp_ns - oldest_ns < self._patience_ns and len(self._torques) <= MOST_PATIENT:
+            return self._patience_ns
+        self._is_patient = False  # the voltage does not come: waiting on would only be late
+        return self._hold_ns
 
     def _known_ns(self) -> int | None:
         """Up to where every signal that belongs to torque is known; None: nowhere."""

@@ -20,9 +20,6 @@ SILENCE = 20.0
 REGULAR = 1000
 """Intervals without a silence after which the next one is against the habit of the signal."""
 
-ALWAYS = 250
-"""Intervals without a silence after which a signal that never was silent is expected to go on."""
-
 LEARNT = 20
 """Intervals before anything is called missing."""
 
@@ -62,12 +59,6 @@ class Rhythm:
     def regular(self) -> bool:
         """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
-
-    @property
-    def is_expected(self) -> bool:
-        """Whether a signal that is late will come: it is regular, or was never silent so far."""
-        was_silent = self._sample_count - LEARNT > self._unbroken
-        return self.regular or (self._unbroken >= ALWAYS and not was_silent)
 
     def loses(self, interval_s: Any) -> Any:
         """Tell whether a periodic signal has lost samples in an interval in s, short of silence.

@@ -94,8 +94,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'hold_s',
         0.25,
-        'How far torque may run ahead of voltage, in s, before voltage is held; 5 s at least where '
-        'it has always come.',
+        'How far torque may run ahead of voltage, in s, before voltage is held; up to 5 s where it '
+        'has always come.',
         0.0,
         1e6,
         live=True,

@@ -3,7 +3,7 @@
 #define VERDICT_RULES_H
 #include <stdint.h>
 
-#define MOST_JUDGED 16
+#define MOST_JUDGED 12
 
 /* In the order of estimate.py. */
 enum { IDENTIFIED, CONVERGING, UNEXCITED, FROZEN, IMPLAUSIBLE, MISFIT, NEGLIGIBLE };

@@ -7,7 +7,7 @@ import ctypes
 from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.white_box.interface import Parameter, bounds
 
-MOST_JUDGED = 16
+MOST_JUDGED = 12
 """Room in `verdict_rules.h`."""
 
 _SETTINGS = (

@@ -56,12 +56,18 @@ class WidenedEstimate:
     Args:
         parameters: of the motor.
         factor: shape (parameter,): by which standard deviations grow.
+        factors: shape (parameter, parameter): by which covariances grow, by that alone.
         spread: shape (parameter, parameter): covariance of the logarithms that comes on top.
         furthest: shape (parameter,): times its value that a parameter may be, by that alone.
     """
 
     def __init__(
-        self, parameters: tuple[Parameter, ...], factor: Array, spread: Array, furthest: Array
+        self,
+        parameters: tuple[Parameter, ...],
+        factor: Array,
+        factors: Array,
+        spread: Array,
+        furthest: Array,
     ) -> None:
         n = len(parameters)
         handle = library() if n <= MOST_JUDGED else None
@@ -73,7 +79,7 @@ class WidenedEstimate:
         structure = self._structure = _Widening(
             n,
             VerdictRules.between_bounds(parameters),
-            tuple(np.multiply.outer(factor, factor).ravel().tolist()),
+            tuple(factors.ravel().tolist()),
             tuple(spread.ravel().tolist()),
             tuple(factor.tolist()),
             tuple(furthest.tolist()),

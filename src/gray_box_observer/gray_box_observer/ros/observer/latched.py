@@ -44,8 +44,8 @@ class LatchedTopic:
 
     def correct(self, message: bytes) -> None:
         """Publish what holds now instead of what is latched, in whatever state the node is."""
-        publisher = self._publisher
-        if publisher is None or publisher.is_active:
+        publisher = self._publisher = self._publisher or self._create()
+        if publisher.is_active:
             self(message)
             return
         publisher.activate()

@@ -54,4 +54,5 @@ class SerializedPublisher:
 
     def destroy(self) -> None:
         """Take the topic away, and what it has latched; this publishes no more."""
+        self.deactivate()
         self._node.destroy_lifecycle_publisher(self._publisher)
