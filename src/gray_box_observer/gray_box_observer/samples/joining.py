@@ -59,8 +59,8 @@ class Joining(Protocol):
     def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
         """Count a message as refused, for the motors of which it holds usable values."""
 
-    def one(self, values: Any, motor: int) -> float:
-        """Return the value of one motor."""
+    def count_known(self, values: Sequence[Any], motor: int) -> int:
+        """Return how many of some messages' values tell something of a motor."""
 
     def torque(self, torque_nm: Any, speed_rad_s: Any, absent: Missing) -> Any:
         """Return the usable torque, NaN in place of the rest; None where nothing is usable."""
@@ -136,9 +136,9 @@ class OneMotor:
         """See :class:`Joining`."""
         self._refusal_counts[signal][reason] += 1
 
-    def one(self, values: float, motor: int) -> float:
+    def count_known(self, values: Sequence[float], motor: int) -> int:
         """See :class:`Joining`."""
-        return values
+        return len(values) - sum(map(math.isnan, values))
 
     def torque(self, torque_nm: float, speed_rad_s: float, absent: Missing) -> float | None:
         """See :class:`Joining`."""
@@ -246,9 +246,10 @@ class ManyMotors:
         """See :class:`Joining`."""
         self._own[signal][reason] += ~np.isnan(values)
 
-    def one(self, values: Array, motor: int) -> float:
+    def count_known(self, values: Sequence[Array], motor: int) -> int:
         """See :class:`Joining`."""
-        return float(values[motor])
+        own_values = np.fromiter((value[motor] for value in values), float, len(values))
+        return int(np.count_nonzero(~np.isnan(own_values)))
 
     def torque(self, torque_nm: Array, speed_rad_s: Any, absent: Missing) -> Array | None:
         """See :class:`Joining`."""

@@ -401,10 +401,7 @@ class Pairing:
             received_voltage=received_voltage,
             taken_voltage=received_voltage - refusal_counts['voltage'].total(),
             used_count=self.used_count - lost_count,
-            waiting_count=sum(
-                not math.isnan(self._joining.one(torque_nm, motor))
-                for _, torque_nm, _ in self._torques
-            ),
+            waiting_count=self._joining.count_known([one[1] for one in self._torques], motor),
             restarts=self.restarts,
             held_count=self.held_count,
             delay_ns=self._delay_ns,
