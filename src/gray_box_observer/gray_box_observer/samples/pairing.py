@@ -41,12 +41,12 @@ from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
 PATIENCE_NS = 5_000_000_000
-"""How far torque may run ahead of a voltage that has always come, at least. A reader that was busy
-finds the messages of one topic behind those of the other; without the voltage torque is refused."""
+"""How far torque may run ahead of a voltage that has always come. A reader that was busy finds the
+messages of one topic behind those of the other; without the voltage torque would be refused."""
 
 MOST_PATIENT = SLACK
-"""Torques that may wait so: the raw history allows for as many in another order, and the queue of a
-topic holds no more."""
+"""Torques that may wait so: the raw history allows for as many in another order, and by default the
+queue of a topic holds no more."""
 
 
 @dataclass(frozen=True, slots=True)
