@@ -20,17 +20,17 @@ class SerializedPublisher:
 
     Args:
         node: who publishes.
-        topic: type and quality of service.
-        name: of the topic.
+        topic: name, type and quality of service.
+        name: of the topic, where its own holds a placeholder.
 
     Raises:
         ConfigurationError: an override of the quality of service that cannot be used.
     """
 
-    def __init__(self, node: LifecycleNode, topic: topics.Topic, name: str) -> None:
+    def __init__(self, node: LifecycleNode, topic: topics.Topic, name: str = '') -> None:
         self._node = node
         self._publisher: Any = advertise(
-            node.create_lifecycle_publisher, topic.type, name, topic.qos
+            node.create_lifecycle_publisher, topic.type, name or topic.name, topic.qos
         )
         self._publish = self._publisher.handle.publish_raw
 

@@ -56,9 +56,9 @@ class Outputs:
         require_going_on: Callable[[], None] = lambda: None,
     ) -> None:
         self._node = node
-        self._predicted_torque = _advertised(node, topics.PREDICTED_TORQUE)
+        self._predicted_torque = SerializedPublisher(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
-        self._forecast = _advertised(node, topics.FORECAST_TORQUE) if horizon else None
+        self._forecast = SerializedPublisher(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
         motors = configuration.motors if configuration['motor_topics'] else {}
         self._identified_topics: dict[str, LatchedTopic] = {}
@@ -75,7 +75,7 @@ class Outputs:
         self._published_identified: dict[str, tuple[bool, ...]] = {}
         self._torques = JointMessages()
         self._speeds = JointMessages('velocity')
-        self._speed = _advertised(node, topics.SPEED)
+        self._speed = SerializedPublisher(node, topics.SPEED)
         alone = len(configuration.motors) < configuration['group_from']
         for m, motor in motors.items():
             require_going_on()
@@ -163,7 +163,7 @@ class Outputs:
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish the torques at the horizon, if the voltage is held until then, once each."""
         if self._forecast is None:  # asked for while the node runs
-            self._forecast = _advertised(self._node, topics.FORECAST_TORQUE)
+            self._forecast = SerializedPublisher(self._node, topics.FORECAST_TORQUE)
             self._forecast.activate()
         if self._foretold.get(names) == stamp_ns:
             return
@@ -326,8 +326,3 @@ class Outputs:
             topic.retract()
         if motor in self._speed_std:
             self._speed_std[motor].retract()
-
-
-def _advertised(node: LifecycleNode, topic: topics.Topic) -> SerializedPublisher:
-    """Return a publisher of a topic whose name is no motor's."""
-    return SerializedPublisher(node, topic, topic.name)
