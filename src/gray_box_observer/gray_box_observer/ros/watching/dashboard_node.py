@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
-from gray_box_observer.ros.running import run_node
+from gray_box_observer.ros.running import Stop, run_node
+from gray_box_observer.ros.watching.answered_participant import answered_participant
 from gray_box_observer.ros.watching.observer_listener import ObserverListener
 from gray_box_observer.ros.watching.polling_executor import WITHOUT_SERVICES, PollingExecutor
 from gray_box_observer.safe_io.printable import printable
@@ -114,8 +115,13 @@ def serve(args: Sequence[str], settings: DashboardSettings) -> int:
         args: The whole command line, for what ROS takes of it.
         settings: What to show.
     """
+
+    def make_node(stop: Stop) -> DashboardNode:
+        with answered_participant(settings.observers, lambda: stop.is_requested):
+            return DashboardNode(settings)
+
     return run_node(
-        lambda _: DashboardNode(settings),
+        make_node,
         args,
         name='dashboard',
         executor_factory=PollingExecutor,

@@ -29,7 +29,7 @@ LOOK_ROUND_LATER_S = 2.0
 MOST_TAKEN = 2000
 """Messages of one reader in one poll: a sender that never pauses must not keep it from its end."""
 
-_LEAF = ESTIMATES.name.removeprefix('~')
+LEAF = ESTIMATES.name.removeprefix('~')
 _TYPE = 'std_msgs/msg/Float64MultiArray'
 _OWN_FACT = 'samples used'
 """Stands in the diagnostics of an observer, whatever its node is called."""
@@ -89,15 +89,13 @@ class ObserverListener:
     def _discover(self) -> None:
         if self._observer_names:
             return
-        for topic, types in self._node.get_topic_names_and_types():
-            observer = topic.removesuffix(_LEAF)
-            if observer != topic and observer and _TYPE in types:
-                self._listen_to(observer)
+        for observer in observers_of(self._node):
+            self._listen_to(observer)
 
     def _listen_to(self, observer: str) -> None:
         if observer not in self._estimates and len(self._estimates) < MOST_OBSERVERS:
             self._estimates[observer] = self._node.create_subscription(
-                Float64MultiArray, observer + _LEAF, _unused, ESTIMATES.qos
+                Float64MultiArray, observer + LEAF, _unused, ESTIMATES.qos
             )
 
     def _add_diagnostics(self, message: DiagnosticArray, now_s: float) -> None:
@@ -124,6 +122,14 @@ def _is_name_of_node(name: str) -> bool:
         return bool(validate_full_topic_name(name))
     except InvalidTopicNameException:
         return False
+
+
+def observers_of(node: Node) -> Iterator[str]:
+    """Yield the names of the observers whose estimates a node knows of."""
+    for topic, types in node.get_topic_names_and_types():
+        observer = topic.removesuffix(LEAF)
+        if observer != topic and observer and _TYPE in types:
+            yield observer
 
 
 def taken(subscription: Subscription, *, raw: bool = False) -> Iterator[Any]:

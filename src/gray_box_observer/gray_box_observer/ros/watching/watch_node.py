@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.ros.running import Stop, run_node
+from gray_box_observer.ros.watching.answered_participant import answered_participant
 from gray_box_observer.ros.watching.observer_listener import (
     LOOK_ROUND_LATER_S,
     LOOK_ROUND_S,
@@ -148,10 +149,13 @@ def watch_live(
         timeout_s: With `once`, wait so long at most for a complete one.
     """
     with TableDisplay(sys.stdout, most, live=not once) as display:
+
+        def make_node(stop: Stop) -> WatchNode:
+            with answered_participant(observers, lambda: stop.is_requested):
+                return WatchNode(stop, display, observers, period_s, once=once, timeout_s=timeout_s)
+
         return run_node(
-            lambda stop: WatchNode(
-                stop, display, observers, period_s, once=once, timeout_s=timeout_s
-            ),
+            make_node,
             args,
             name='watch',
             executor_factory=PollingExecutor,
