@@ -70,7 +70,7 @@ def both(
     count = Count()
     quick = RecursiveEstimator(box, start, rules=rules)
     count.watch(quick)
-    monkeypatch.setattr(regular_block, 'library', lambda: None)
+    monkeypatch.setattr(regular_block, 'library', lambda *_: None)
     by_numpy = RecursiveEstimator(box, start, rules=rules)
     for sample in samples:
         assert quick.learn(sample) == by_numpy.learn(sample)
@@ -232,7 +232,7 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
     for library in (True, False):
         with monkeypatch.context() as patch:
             if not library:
-                patch.setattr(regular_block, 'library', lambda: None)
+                patch.setattr(regular_block, 'library', lambda *_: None)
             nodes = RecursiveEstimator(box, np.tile(START, (9, 1)), rules=rules)
             settled.append([])
             for one in samples:

@@ -25,7 +25,7 @@ from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
     JointMessages,
     MessageTemplate,
-    value_template,
+    NumberMessages,
 )
 from gray_box_observer.ros.observer.serialized_publisher import SerializedPublisher
 from gray_box_observer.ros.observer.topic_outputs import Outputs
@@ -187,9 +187,9 @@ def test_numbers_that_do_not_fit_a_form_leave_it_what_it_was(numbers: np.ndarray
 
 
 def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> None:
-    template = value_template()
+    template = NumberMessages()
     torques = JointMessages()
-    values = [template.render(np.array([value])) for value in (1.0, 2.0)]
+    values = [template.render(value) for value in (1.0, 2.0)]
     assert [deserialize_message(data, Float64).data for data in values] == [1.0, 2.0]
     messages = [
         torques.render(('motor',), stamp_ns, np.array([0.1 * stamp_ns])) for stamp_ns in (1, 2)
@@ -349,7 +349,7 @@ def test_a_test_of_the_fit_publishes_no_estimate_that_is_not_finite(monkeypatch)
         'published',
         lambda *given: replace(real(*given), value=np.full((1, 3), np.nan)),
     )
-    monkeypatch.setattr(MotorObserver, 'retested', lambda self: {0: True})
+    monkeypatch.setattr(MotorObserver, 'retested', lambda self, **_: {0: True})
     observer.contain(group, partial(outputs.publish_tested, group))
     assert 'not finite' in observer.incidents['motor'].reason
     assert not sent_to(node, 'resistance', Float64)

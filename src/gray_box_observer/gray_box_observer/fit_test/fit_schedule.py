@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import islice
+from operator import le
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,6 +75,8 @@ class CalmRange(NamedTuple):
             estimate: of this motor alone.
         """
         values = estimate.value[0].tolist()
+        if all(map(le, self.lowest, values)) and all(map(le, values, self.highest)):
+            return True
         verdicts = estimate.verdicts[0]
         columns = zip(values, self.lowest, self.highest, verdicts, strict=True)
         for value, lowest, highest, verdict in columns:

@@ -83,11 +83,11 @@ class MotorObserver:
         self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
         self._estimate_to_schedule: Estimate | None = None  # it has gone out; is its test due?
         self._retests: dict[int, bool] = {}
+        self._spread_changes: set[int] = set()  # motors whose deviations, not out yet, tests moved
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
         self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
-        self._interval_s = np.empty(0)
-        self._evenly = False
+        self._intervals_s = np.empty(0), np.empty(0)  # of the last two samples
         self.motors = form.context_nodes.theta.shape[0]
         self._nobody = np.zeros(self.motors, dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
@@ -129,8 +129,9 @@ class MotorObserver:
         Args:
             voltage_v: voltage in force from the last sample on.
         """
-        if self._evenly:
-            self.predict(self._interval_s, np.atleast_1d(voltage_v))
+        before_s, interval_s = self._intervals_s
+        if np.array_equal(before_s, interval_s):
+            self.predict(interval_s, np.atleast_1d(voltage_v))
 
     def forecast_held(
         self, ahead: tuple[Any, Any] | None, horizon_s: float, voltage_v: Any
@@ -296,8 +297,7 @@ class MotorObserver:
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
             self._forecast_ahead = None
-            self._evenly = np.array_equal(sample.interval_s, self._interval_s)
-            self._interval_s = sample.interval_s
+            self._intervals_s = self._intervals_s[1], sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
             if (
@@ -310,6 +310,8 @@ class MotorObserver:
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
         )
+        if self._spread_changes:
+            self._spread_changes.difference_update(self.changed_motors.tolist())
         motors: Any = (
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
@@ -352,13 +354,20 @@ class MotorObserver:
         motors = self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST)
         self._tests += [(motor, False) for motor in motors]
 
-    def retested(self) -> dict[int, bool]:
-        """Return whose fit was tested since the last call, and whether their belief has changed.
+    def retested(self, *, is_quiet: bool = False) -> dict[int, bool]:
+        """Return whose fit was tested since the last call, and whether their belief goes out now.
 
-        A belief that has not gone out yet does not count as changed.
+        Verdicts that have changed do. Deviations alone go out with the next estimate, unless
+        samples have ceased. A belief that has not gone out yet goes out with its own sample.
+
+        Args:
+            is_quiet: whether it may be that no sample follows.
         """
         self.run_deferred()
         retests, self._retests = self._retests, {}
+        if is_quiet:
+            retests.update(dict.fromkeys(self._spread_changes, True))
+            self._spread_changes.clear()
         return dict(sorted(retests.items()))
 
     def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
@@ -369,10 +378,13 @@ class MotorObserver:
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
         """
-        estimate, has_changed = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
+        test = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
         self.form_choice.wake()
-        self._retests[motor] = self._retests.get(motor, False) or (is_out and has_changed)
-        return estimate
+        has_news = is_out and test.has_new_verdicts
+        self._retests[motor] = self._retests.get(motor, False) or has_news
+        if is_out and test.has_new_spread:
+            self._spread_changes.add(motor)
+        return test.estimate
 
     def _know(
         self, estimate: Estimate, motors: Any = slice(None), *, follows_level: bool = True

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,20 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
+
+
+class BeliefTest(NamedTuple):
+    """What a test of the fit has left of the belief in one motor.
+
+    Attributes:
+        estimate: what is believed of it then.
+        has_new_verdicts: whether its verdicts are others than before.
+        has_new_spread: the same of its covariance.
+    """
+
+    estimate: Estimate
+    has_new_verdicts: bool
+    has_new_spread: bool
 
 
 class ParameterBelief:
@@ -160,16 +174,13 @@ class ParameterBelief:
         self.is_identified[motors] = is_identified
         self.known_flags[motors] = known_flags
 
-    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> tuple[Estimate, bool]:
+    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> BeliefTest:
         """Test the fit of one motor.
 
         Args:
             motor: its place on the motor axis.
             delay: what is known of its delay.
             is_recent: whether its newest samples alone are tested.
-
-        Returns:
-            What is believed of it then, and whether that has changed.
         """
         one = slice(motor, motor + 1)
         estimate = self.context_nodes.estimate(one)
@@ -177,10 +188,11 @@ class ParameterBelief:
         test = self._fit.test_newest if is_recent else self._fit.test
         test(self.context_nodes, estimate, motor, delay)
         after = self._judged(estimate, one)
-        has_changed = before.verdicts != after.verdicts or not np.array_equal(
-            before.covariance, after.covariance
+        return BeliefTest(
+            after,
+            before.verdicts != after.verdicts,
+            not np.array_equal(before.covariance, after.covariance),
         )
-        return after, has_changed
 
     def check_flags(self, flags: Any) -> None:
         """Refuse saved flags that are not one a published parameter.

@@ -123,9 +123,13 @@ class _Update(ctypes.Structure):
     )
 
 
-def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None if absent, or of another ``Update`` or motor."""
-    handle = compiled.library('update_size', _Update)
+def library(kind: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL | None:
+    """Load the compiled code; None if absent, or of another ``Update`` or motor.
+
+    Args:
+        kind: how functions are called, see :func:`~compiled.load`.
+    """
+    handle = compiled.library('update_size', _Update, kind)
     if handle is None:
         return None
     handle.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
@@ -172,7 +176,8 @@ class RegularBlocks:
     def __init__(self, white_box: WhiteBox, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
         self._target_parts: tuple[Any, ...] = ()
-        handle = library()
+        # of one motor it keeps the interpreter lock, which takes as long to get back as a block
+        handle = library(ctypes.PyDLL if replay.motors == 1 else ctypes.CDLL)
         if (
             handle is not None
             and isinstance(white_box, MotorWhiteBox)
@@ -264,8 +269,8 @@ class RegularBlocks:
     ) -> tuple[EstimatorState, NDArray[np.uint8]]:
         """Learn the next block of some motors where it is a regular one.
 
-        The interpreter lock is let go meanwhile: what is known, and the samples, are one thread's
-        alone; others are given copies.
+        Of several motors the interpreter lock is let go meanwhile: what is known, and the samples,
+        are one thread's alone; others are given copies.
 
         Args:
             state: of all motors; written to.

@@ -26,6 +26,7 @@ MAX_FORMS = 64
 MAX_FORM_BYTES = 8_000_000
 """What these forms may take together."""
 
+_NUMBER = struct.Struct('=d')
 _STAMP = struct.Struct('=iI')
 _SECONDS = range(-(2**31), 2**31)
 """What a stamp can tell, which has 32 bits for them."""
@@ -102,9 +103,15 @@ class JointMessages:
         return template.render(numbers)
 
 
-def value_template() -> MessageTemplate:
-    """Return the template of one parameter's value in SI units."""
-    return MessageTemplate(lambda numbers: Float64(data=numbers[0]), 1)
+class NumberMessages:
+    """Single numbers as serialised Float64: the number is what such a message ends with."""
+
+    def __init__(self) -> None:
+        self._head = bytes(serialize_message(Float64()))[: -_NUMBER.size]
+
+    def render(self, number: float) -> bytes:
+        """Return the message with this number."""
+        return self._head + _NUMBER.pack(number)
 
 
 def covariance_template(parameters: tuple[Parameter, ...]) -> MessageTemplate:

@@ -112,7 +112,8 @@ class Session:
         self.run_deferred()
         if self.outputs is not None:
             for group in self.observer.every_group:
-                self.observer.contain(group, partial(self.outputs.publish_tested, group))
+                publish = partial(self.outputs.publish_tested, group, is_quiet=True)
+                self.observer.contain(group, publish)
 
     def report_incidents(self) -> None:
         """Report motors that have stopped since the last call, and clear their latched topics."""

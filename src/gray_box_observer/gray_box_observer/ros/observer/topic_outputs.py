@@ -22,8 +22,8 @@ from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
     JointMessages,
     MessageTemplate,
+    NumberMessages,
     covariance_template,
-    value_template,
     yes_and_no,
 )
 from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
@@ -68,7 +68,7 @@ class Outputs:
         self._speed_std: dict[str, LatchedTopic] = {}
         self._parameters: dict[str, ParameterTopics] = {}
         self._covariances: dict[str, MessageTemplate] = {}
-        self._value = value_template()
+        self._value = NumberMessages()
         self._is = yes_and_no()
         self._followed_parameters: dict[str, tuple[Parameter, ...]] = {}
         self._published_fit: dict[str, float] = {}
@@ -97,10 +97,8 @@ class Outputs:
             names = result.group.names
             open_stamps = self._open_stamps.setdefault(names, {})
             foretold = open_stamps.pop(result.sample.stamp_ns, False)
-            if (
-                not result.sample.interval_s.any()
-            ):  # a history begins: stamps that are still awaited may come again
-                open_stamps.clear()
+            if open_stamps and not result.sample.interval_s.any():
+                open_stamps.clear()  # a history begins: stamps that are awaited may come again
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
@@ -118,7 +116,7 @@ class Outputs:
         if data is not None:
             self._speed(data)
         if std is not None:
-            std(self._value.render(np.array([speed.std_rad_s])))
+            std(self._value.render(speed.std_rad_s))
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""
@@ -128,12 +126,17 @@ class Outputs:
                 self._alarms(result.group.names, flags)
                 self.publish_tested(result.group)
 
-    def publish_tested(self, group: Group) -> None:
-        """Publish the fit of motors that were tested since, and the beliefs that it has changed."""
+    def publish_tested(self, group: Group, *, is_quiet: bool = False) -> None:
+        """Publish the fit of motors that were tested since, and the beliefs that it has changed.
+
+        Args:
+            group: the motors.
+            is_quiet: whether it may be that no estimate follows that will say the rest.
+        """
         observer = group.observer
         if observer is None or not self._fit:
             return
-        for motor, has_changed in observer.retested().items():
+        for motor, has_changed in observer.retested(is_quiet=is_quiet).items():
             name = group.names[motor]
             self.fit(name, observer.fit_of(motor))
             if not has_changed:
@@ -230,7 +233,8 @@ class Outputs:
             return
         self._follow_form(motor, estimate)
         values = self._parameters[motor].values
-        for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
+        numbers = estimate.value[0].tolist()
+        for parameter, value in zip(estimate.parameters, numbers, strict=True):
             if math.isfinite(value):
                 values[parameter.name](self._value.render(value))
         template = self._covariances.get(motor)
@@ -266,13 +270,13 @@ class Outputs:
             self._fit[motor].retract()
         elif fit.ratio != self._published_fit.get(motor):
             self._published_fit[motor] = fit.ratio
-            self._fit[motor](self._value.render(np.array([fit.ratio])))
+            self._fit[motor](self._value.render(fit.ratio))
 
     def _forget_fit(self, motor: str) -> None:
         """Take back the ratio, in any state of the life cycle, so that listeners hear of it."""
         if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
             self._published_fit[motor] = UNTESTED
-            self._fit[motor].correct(self._value.render(np.array([UNTESTED])))
+            self._fit[motor].correct(self._value.render(UNTESTED))
 
     def parameters_identified(
         self, motor: str, parameters: tuple[Parameter, ...], flags: tuple[bool, ...]
