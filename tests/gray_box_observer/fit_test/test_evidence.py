@@ -34,6 +34,7 @@ from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.saved_test import check_evidence
 from gray_box_observer.fit_test.stamp_errors import DELAY, StampError
 from gray_box_observer.fit_test.window_test import MotorUnderTest
+from gray_box_observer.samples import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
@@ -218,7 +219,7 @@ def test_evidence_goes_on_from_window_to_window() -> None:
 
 def _motor_under_test(begin: int, delay_s: float) -> MotorUnderTest:
     """Return a motor whose last test began at sample 2048, with no delay."""
-    nodes: Any = SimpleNamespace(present_since=lambda _: begin)
+    nodes: Any = SimpleNamespace(replay=ReplayBuffer(1, 2), present_since=lambda _: begin)
     judgement = Judgement(FitVerdict.OK, np.ones(2), np.zeros((2, 2)))
     assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
     known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)

@@ -54,7 +54,7 @@ def test_a_motor_that_never_fitted_is_tested_by_all_its_samples_whatever_it_took
     for k in range(SAMPLES):
         replay.append(Sample.of_one_motor(10_000_000 * (k + 1), 0.01, 1.0, 0.01))
     replay.forget(SINCE_CHANGE)
-    nodes = cast(Any, SimpleNamespace(replay=replay))
+    nodes = cast(Any, SimpleNamespace(replay=replay, present_since=lambda _: 0))
     motor = MotorUnderTest(nodes, cast(Any, None), 0, DelayEstimate(0.0, False), before)
     assert motor.count(WINDOW) == count
     assert motor.newest(motor.count(WINDOW)).shape[2] == count
@@ -85,3 +85,35 @@ def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_
     assert tested.evidence.samples == FEW
     few_told = replace(rich, assessment=FitAssessment(FitVerdict.MISFIT, 9.0, 9.0, (), FEW))
     assert not test.test(replace(later, before=few_told), FEW).is_lasting_misfit
+
+
+def test_a_test_in_pieces_tests_the_samples_with_which_it_began() -> None:
+    voltage_v = steps(2 * FEW, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(2 * FEW, 0.05, 7))
+    motor = record.observed(stamps_exact=True).motors['motor']
+    test = WindowTest(motor.configuration, motor.white_box, 'current')
+    replay = ReplayBuffer(1, FEW)
+    stretch = record.stretch
+
+    def append(k: int) -> None:
+        torque_nm = float(TORQUE_CONSTANT * stretch.state[0, k + 1])
+        replay.append(Sample.of_one_motor(k, INTERVAL_S, float(voltage_v[k]), torque_nm))
+
+    for k in range(FEW):
+        append(k)
+    answers = {'is_drifting': lambda _: False, 'present_since': lambda _: 0}
+    nodes = cast(Any, SimpleNamespace(replay=replay, **answers))
+    subject = MotorUnderTest(nodes, motor.estimate, 0, DelayEstimate(0.0, False), None)
+    at_once = test.test(subject, FEW)
+    assert at_once.place == FEW
+    pieces = test.pieces(subject, FEW)
+    count = 0
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            assert repr(end.value) == repr(at_once)
+            break
+        append(FEW + count)  # whose memory takes the room of the oldest
+        count += 1
+    assert count > 5

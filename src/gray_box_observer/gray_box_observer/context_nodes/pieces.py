@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from typing import Any, TypeVar
 
+import numpy as np
+
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.saved_state import MOST, whole
 
@@ -46,6 +48,18 @@ def completed(pieces: Pieces[Result]) -> Result:
         except StopIteration as end:
             result: Result = end.value
             return result
+
+
+def without_warnings(work: Pieces[Result]) -> Pieces[Result]:
+    """Go on with some work whose numbers may be absurd: numpy warns of nothing while it does it."""
+    while True:
+        with np.errstate(all='ignore'):
+            try:
+                size = next(work)
+            except StopIteration as end:
+                result: Result = end.value
+                return result
+        yield size
 
 
 def bounded(work: Pieces[Result], most: int) -> Pieces[Result | None]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment
@@ -23,6 +24,9 @@ from gray_box_observer.fit_test.saved_test import check_saved_test
 from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
+
+HELD = 64
+"""Work that it is to hold on to samples."""
 
 _UNTESTED = FitAssessment()
 
@@ -67,7 +71,15 @@ class FitMonitor:
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
     ) -> None:
+        """Test one motor at once, as :meth:`test_in_pieces` does."""
+        completed(self.test_in_pieces(nodes, estimate, motor, delay))
+
+    def test_in_pieces(
+        self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
+    ) -> Pieces[None]:
         """Test one motor by all the samples that count, and note what follows.
+
+        The first piece holds on to these samples: others may come meanwhile.
 
         Args:
             nodes: the rule that has learnt it.
@@ -83,7 +95,9 @@ class FitMonitor:
         elif not test.can_tell(subject, count):
             self.schedule.put_off(motor, subject.place + SHORTEST_WAIT)
         else:
-            self._follow(motor, test.test(subject, count))
+            yield HELD
+            result = yield from test.pieces(subject, count)
+            self._follow(motor, result)
 
     def test_newest(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     difference_noise,
@@ -192,6 +193,18 @@ def analyse(
     earlier: Evidence = NO_EVIDENCE,
     new: int | None = None,
 ) -> ResidualAnalysis:
+    """Analyse the free run of one motor, at once; see :func:`analysis_in_pieces`."""
+    return completed(analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new))
+
+
+def analysis_in_pieces(
+    white_box: WhiteBox,
+    p: Array,
+    stretch: SampleWindow,
+    is_drifting: bool,
+    earlier: Evidence,
+    new: int | None,
+) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
     Args:
@@ -202,7 +215,9 @@ def analyse(
         earlier: what earlier windows have told.
         new: how many samples came after the last of these; None: all of the stretch.
     """
+    work = stretch.state.size
     run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
+    yield work
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
@@ -212,6 +227,7 @@ def analyse(
     if is_drifting:
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
     projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
+    yield work
     residual = projection.remainder if is_drifting else projection.residual
     size_a = math.sqrt(float(residual @ residual) / residual.size)
     whiteness = ljung_box(residual) if size_a > least_a else 1.0
@@ -222,6 +238,7 @@ def analyse(
     noise_a = max(size_a, floor_a)
     robust_std = np.full(p.shape[1], np.nan) if is_white else projection.robust_std()
     theta = to_parameters(p)[0]
+    yield work
     responses_a = stamp_responses(run)
     window = {
         **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
@@ -241,6 +258,7 @@ def analyse(
         least_squares = steady_ones
     allowances = allowances_of_stamps(white_box, (delay, lead))
     evidence = pooled_evidence(earlier, window, least_squares, allowances, count, new_count)
+    yield work
     rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
@@ -255,14 +273,16 @@ def analyse(
             )
         ),
     ]
+    yield work
+    scores = yield from _scores(
+        run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
+    )
     return ResidualAnalysis(
         samples=residual.size,
         floor_a=floor_a,
         ratio=size_a / floor_a,
         whiteness=whiteness,
-        scores=_scores(
-            run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
-        ),
+        scores=scores,
         robust_std=robust_std,
         delay=delay,
         lead=lead,
@@ -358,7 +378,7 @@ def _scores(
     least_a: float,
     late_remainder: Array | None,
     rounding_a: Array,
-) -> tuple[EffectScore, ...]:
+) -> Pieces[tuple[EffectScore, ...]]:
     """Test every effect but those that white residuals rule out at ``least_a`` or more.
 
     Args:
@@ -381,7 +401,10 @@ def _scores(
         )
     ]
     voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
+    work = voltages.shape[-1]
+    yield work
     response = projection.with_weight(run.response(voltages))
+    yield work
     distinct = projection.without(response)
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
@@ -409,6 +432,7 @@ def _scores(
                 continue
             of_rounding = distinct[columns] @ rounding_a.T
             least = 0.5 * noise * own_gram + of_rounding @ of_rounding.T
+            yield work
             score = _score(distinct[columns], remainder, amount, own_products, least)
             if effect.name not in best or score > best[effect.name].score:
                 shift = -projection.shift(amount @ response[columns])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
@@ -44,7 +45,7 @@ from gray_box_observer.fit_test.policy import (
     shows_change,
     with_shift,
 )
-from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analysis_in_pieces
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import (
@@ -85,7 +86,7 @@ that of a load: 0.85 and more of loads, up to 0.79 of all else."""
 
 @dataclass(frozen=True, eq=False)
 class MotorUnderTest:
-    """A motor, as it is when it is tested.
+    """A motor, as it is when its test begins: more samples may come before the test ends.
 
     Attributes:
         nodes: the rule that has learnt it, perhaps with others.
@@ -93,6 +94,10 @@ class MotorUnderTest:
         motor: its place on the motor axis.
         delay: what is known of its delay.
         before: what its last test has left; None: there was none.
+        place: of its newest sample.
+        begin: place before the oldest sample that counts.
+        present_since: place from which it is the motor that it is now.
+        content: its newest samples, also those that are learnt from no more, shape (signal, 1, n).
     """
 
     nodes: ContextUpdate
@@ -100,21 +105,29 @@ class MotorUnderTest:
     motor: int
     delay: DelayEstimate
     before: FitResult | None
+    place: int = field(init=False)
+    begin: int = field(init=False)
+    present_since: int = field(init=False)
+    content: Array = field(init=False)
+    _stored_count: int = field(init=False)
+    _remembered_count: int = field(init=False)
 
-    @property
-    def one(self) -> slice:
-        """The motor on the motor axis."""
-        return slice(self.motor, self.motor + 1)
-
-    @property
-    def place(self) -> int:
-        """Place of its newest sample."""
-        return int(self.nodes.replay.received[self.motor])
-
-    @property
-    def begin(self) -> int:
-        """Place before the oldest sample that counts."""
-        return int(self.nodes.replay.begin(self.one)[0])
+    def __post_init__(self) -> None:
+        one = slice(self.motor, self.motor + 1)
+        replay = self.nodes.replay
+        # also after a restart: a checkpoint holds no more
+        stored_count = min(replay.stored(self.motor), replay.capacity)
+        rows = replay.newest(min(stored_count, WINDOW), one).transpose(2, 0, 1)
+        snapshot = {
+            'place': replay.received_of(self.motor),
+            'begin': replay.begin_of(self.motor),
+            'present_since': self.nodes.present_since(self.motor),
+            'content': rows.copy().transpose(1, 2, 0),
+            '_stored_count': stored_count,
+            '_remembered_count': int(replay.remembered(one)[0]),
+        }
+        for name, value in snapshot.items():
+            object.__setattr__(self, name, value)
 
     def count(self, most: int) -> int:
         """Return how many of its newest samples count, up to a number.
@@ -124,7 +137,7 @@ class MotorUnderTest:
         """
         if self.before is not None and not self.before.has_fitted:
             return min(self._stored_count, most)
-        return int(min(self.nodes.replay.remembered(self.one)[0], most))
+        return min(self._remembered_count, most)
 
     @property
     def evidence(self) -> Evidence:
@@ -136,11 +149,6 @@ class MotorUnderTest:
         return before.evidence if is_same else NO_EVIDENCE
 
     @property
-    def present_since(self) -> int:
-        """Place from which it is the motor that it is now."""
-        return self.nodes.present_since(self.motor)
-
-    @property
     def new_samples(self) -> int:
         """How many have come since its last test."""
         before = self.before
@@ -148,17 +156,7 @@ class MotorUnderTest:
 
     def newest(self, count: int) -> Array:
         """Return its newest samples, shape (signal, 1, n)."""
-        return self.nodes.replay.newest(count, self.one)
-
-    def content(self) -> Array:
-        """Return its newest samples, also those that are learnt from no more."""
-        return self.newest(min(self._stored_count, WINDOW))
-
-    @property
-    def _stored_count(self) -> int:
-        """Samples that are there, also after a restart: a checkpoint holds no more."""
-        replay = self.nodes.replay
-        return min(replay.stored(self.motor), replay.capacity)
+        return self.content[:, :, self.content.shape[2] - count :]
 
 
 @dataclass(frozen=True)
@@ -216,12 +214,18 @@ class WindowTest:
         return is_first and (self._knows_speed or _knows_inductance(motor.estimate))
 
     def test(self, motor: MotorUnderTest, count: int) -> FitResult:
+        """Test so many newest samples, at once."""
+        return completed(self.pieces(motor, count))
+
+    def pieces(self, motor: MotorUnderTest, count: int) -> Pieces[FitResult]:
         """Test so many newest samples."""
-        return self._conclude(motor, count, self._look(motor, count))
+        finding = yield from self._look(motor, count)
+        yield count
+        return self._conclude(motor, count, finding)
 
     def test_change(self, motor: MotorUnderTest, count: int) -> FitResult | None:
         """Test so many newest samples of a motor that has passed; None where it still does."""
-        finding = self._look(motor, count)
+        finding = completed(self._look(motor, count))
         before = motor.before
         verdict = finding.judgement.verdict
         was_ok = before is not None and before.assessment.verdict is FitVerdict.OK
@@ -235,7 +239,7 @@ class WindowTest:
         )
         return self._conclude(motor, count, finding)
 
-    def _look(self, motor: MotorUnderTest, count: int) -> _Finding:
+    def _look(self, motor: MotorUnderTest, count: int) -> Pieces[_Finding]:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
         white_box = self.white_box
         before = motor.before
@@ -245,8 +249,9 @@ class WindowTest:
         samples = content[:, 0]
         window = SampleWindow.of_content(white_box, content)
         is_drifting = motor.nodes.is_drifting(motor.motor)
-        with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
-            analysis = analyse(
+        # samples may be absurd; what is not finite is a misfit
+        analysis = yield from without_warnings(
+            analysis_in_pieces(
                 white_box,
                 to_coordinates(theta),
                 window,
@@ -254,6 +259,8 @@ class WindowTest:
                 motor.evidence,
                 motor.new_samples,
             )
+        )
+        yield count
         judgement = judge(
             analysis,
             estimate.std[0] / theta[0],
@@ -266,7 +273,7 @@ class WindowTest:
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
-        content = motor.content()
+        content = motor.content
         data_doubts = doubts(white_box, samples, theta[0], self.configuration)
         suspects = list(data_doubts.suspects)
         sheet = doubt_of_data_sheet(
@@ -300,7 +307,7 @@ class WindowTest:
                 {}  # its balance has a speed that nobody measures
                 if has_rotor
                 else explanations(
-                    self.white_box, SampleWindow.of_content(self.white_box, motor.content())
+                    self.white_box, SampleWindow.of_content(self.white_box, motor.content)
                 )
             )
             is_added = bool(self.configuration.added_effects)

@@ -15,11 +15,13 @@ from gray_box_observer.context_nodes import (
     RotorUpdate,
     VerdictSettings,
 )
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.observer.fit_test_queue import FitTestQueue
 from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
@@ -80,7 +82,7 @@ class MotorObserver:
 
     def __init__(self, form: MotorForm, form_choice: FormChoice) -> None:
         self.form_choice = form_choice
-        self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
+        self._fit_tests = FitTestQueue(self._test_deferred)
         self._estimate_to_schedule: Estimate | None = None  # it has gone out; is its test due?
         self._retests: dict[int, bool] = {}
         self._spread_changes: set[int] = set()  # motors whose deviations, not out yet, tests moved
@@ -95,6 +97,7 @@ class MotorObserver:
 
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
+        self._fit_tests.clear()
         self.white_box = form.white_box
         self.context_nodes = form.context_nodes
         self.delay = form.delay
@@ -164,10 +167,11 @@ class MotorObserver:
         """
         if (
             self._deferred_update is not None
-            or self._tests
             or self._estimate_to_schedule is not None
+            or not self._fit_tests.is_empty
         ):
             self.run_deferred()
+        self._fit_tests.begin_sample(sample.interval_s.item() if self.motors == 1 else 0.0)
         prediction = (
             None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
@@ -186,20 +190,27 @@ class MotorObserver:
         return update, estimate
 
     def run_deferred(self) -> None:
-        """Judge and learn the prediction of the last sample, where that is still to be done."""
+        """Do what the last sample has left, where that is still to be done.
+
+        Its prediction is judged and learnt, and a test of the fit gets on by a piece.
+        """
         if self._estimate_to_schedule is not None:
             self._ask_for_tests()
-        if self._tests:
-            tests, self._tests = self._tests, []
-            for motor, is_recent in tests:
-                estimate = self._test(motor, is_out=True, is_recent=is_recent)
-                self._know(estimate, slice(motor, motor + 1))
+        if self.motors == 1:
+            self._fit_tests.advance()
+        else:  # estimates change too often for pieces
+            self._fit_tests.complete()
         update = self._deferred_update
         if update is None:
             return
         self._judge_prediction(update)
         if not (self.form_choice.is_idle or self._is_frozen):
             self._try_other_form(update.sample)
+
+    def _complete_deferred(self) -> None:
+        """Do what the last sample has left, and the rest of the tests of the fit."""
+        self.run_deferred()
+        self._fit_tests.complete()
 
     def _judge_prediction(self, update: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -229,7 +240,7 @@ class MotorObserver:
         Returns:
             Whether an estimate has changed.
         """
-        self.run_deferred()
+        self._complete_deferred()
         if self._is_frozen:
             return False
         has_changed = self._finish_fits()
@@ -248,7 +259,7 @@ class MotorObserver:
         if not (isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish()):
             return False
         self.changed_motors = _FIRST
-        self._know(self._test(0, is_out=True))
+        self._know(completed(self._test(0, is_out=True)))
         return True
 
     def _go_over(self, form: MotorForm | None) -> None:
@@ -302,20 +313,20 @@ class MotorObserver:
             self.changed_motors = _NOBODY
             if (
                 self._speed is not None
-                and not self._tests
+                and self._fit_tests.is_empty
                 and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
             ):
-                self._tests.append((0, True))
+                self._fit_tests.ask(0, is_recent=True)
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
         )
-        if self._spread_changes:
-            self._spread_changes.difference_update(self.changed_motors.tolist())
         motors: Any = (
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
         estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
+        if self._spread_changes:
+            self._spread_changes.difference_update(self.changed_motors.tolist())
         return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
@@ -336,23 +347,24 @@ class MotorObserver:
 
         Who waits for nothing is tested when the sample's results are out.
         """
+        self._fit_tests.complete_begun()
         schedule = self._fit.schedule
         if self.motors == 1 and schedule.is_settled(estimate):
             self._estimate_to_schedule = estimate
         else:
             for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
                 if schedule.is_urgent(motor):
-                    self._test(motor, is_out=False)
+                    completed(self._test(motor, is_out=False))
                 else:
-                    self._tests.append((motor, False))
+                    self._fit_tests.ask(motor)
         return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
 
     def _ask_for_tests(self) -> None:
         """Ask whether a test is due of the one motor whose newest estimate has gone out."""
         estimate, self._estimate_to_schedule = self._estimate_to_schedule, None
         assert estimate is not None
-        motors = self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST)
-        self._tests += [(motor, False) for motor in motors]
+        for motor in self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST):
+            self._fit_tests.ask(motor)
 
     def retested(self, *, is_quiet: bool = False) -> dict[int, bool]:
         """Return whose fit was tested since the last call, and whether their belief goes out now.
@@ -370,15 +382,20 @@ class MotorObserver:
             self._spread_changes.clear()
         return dict(sorted(retests.items()))
 
-    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
-        """Test the fit of one motor; return its estimate as far as that lets it be believed.
+    def _test_deferred(self, motor: int, is_recent: bool) -> Pieces[None]:
+        """Test the fit of one motor whose present estimate has gone out."""
+        estimate = yield from self._test(motor, is_out=True, is_recent=is_recent)
+        self._know(estimate, slice(motor, motor + 1))
+
+    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Pieces[Estimate]:
+        """Test the fit of one motor; its estimate as far as that lets it be believed.
 
         Args:
             motor: its place on the motor axis.
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
         """
-        test = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
+        test = yield from self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
         self.form_choice.wake()
         has_news = is_out and test.has_new_verdicts
         self._retests[motor] = self._retests.get(motor, False) or has_news
@@ -400,7 +417,7 @@ class MotorObserver:
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
-        self.run_deferred()
+        self._complete_deferred()
         self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
         if self._forecasting is not None:
@@ -450,6 +467,7 @@ class MotorObserver:
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
     ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
+        self._complete_deferred()
         self._live_settings = verdicts, alarm, core_share
         self.context_nodes.verdict_rules = verdicts
         self._know(self._believed())
@@ -471,7 +489,7 @@ class MotorObserver:
         """Restart with new context nodes from samples paired anew; the network trains on."""
         if not samples:
             return
-        self.run_deferred()
+        self._complete_deferred()
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -498,7 +516,7 @@ class MotorObserver:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
-        self.run_deferred()
+        self._complete_deferred()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self._forecasting is None else self._forecasting.state(motor)
         delay = (

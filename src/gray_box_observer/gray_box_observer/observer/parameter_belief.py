@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes import (
     published_known_parts,
 )
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
@@ -174,8 +175,8 @@ class ParameterBelief:
         self.is_identified[motors] = is_identified
         self.known_flags[motors] = known_flags
 
-    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> BeliefTest:
-        """Test the fit of one motor.
+    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> Pieces[BeliefTest]:
+        """Test the fit of one motor; what is believed of it must stay the same meanwhile.
 
         Args:
             motor: its place on the motor axis.
@@ -185,8 +186,10 @@ class ParameterBelief:
         one = slice(motor, motor + 1)
         estimate = self.context_nodes.estimate(one)
         before = self._judged(estimate, one)
-        test = self._fit.test_newest if is_recent else self._fit.test
-        test(self.context_nodes, estimate, motor, delay)
+        if is_recent:
+            self._fit.test_newest(self.context_nodes, estimate, motor, delay)
+        else:
+            yield from self._fit.test_in_pieces(self.context_nodes, estimate, motor, delay)
         after = self._judged(estimate, one)
         return BeliefTest(
             after,
