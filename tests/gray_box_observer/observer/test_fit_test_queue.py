@@ -70,6 +70,15 @@ def test_what_has_begun_or_all_of_it_can_be_completed(bench: Bench) -> None:
     assert bench.queue.is_empty
 
 
+def test_where_samples_have_ceased_all_is_done(bench: Bench) -> None:
+    bench.queue.begin_sample(SHORT_S)
+    bench.queue.rest()
+    assert bench.done == [], 'one has just come'
+    bench.queue.rest()
+    assert bench.queue.is_empty
+    assert bench.done[-1] == '2 ends'
+
+
 def test_what_is_cleared_is_never_done(bench: Bench) -> None:
     bench.queue.begin_sample(SHORT_S)
     bench.queue.advance()

@@ -28,6 +28,7 @@ class FitTestQueue:
         self._requests: deque[tuple[int, bool]] = deque()
         self._work: Pieces[None] | None = None
         self._credit = 0.0
+        self._has_new_sample = False
 
     @property
     def is_empty(self) -> bool:
@@ -46,6 +47,7 @@ class FitTestQueue:
     def begin_sample(self, interval_s: float) -> None:
         """Note that another sample has come, so long after the one before; 0: not known."""
         self._credit = max(1.0, WORK_A_SECOND * interval_s)
+        self._has_new_sample = True
 
     def advance(self) -> None:
         """Do what the newest sample allows: a piece at least, and nothing when asked again."""
@@ -56,6 +58,12 @@ class FitTestQueue:
                 self._credit -= next(self._work)
             except StopIteration:
                 self._work = None
+
+    def rest(self) -> None:
+        """Do all that is left where no sample has come since this was last called: none may."""
+        if not self._has_new_sample:
+            self.complete()
+        self._has_new_sample = False
 
     def complete_begun(self) -> None:
         """Do the rest of the test that has begun."""

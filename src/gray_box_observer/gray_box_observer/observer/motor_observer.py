@@ -373,9 +373,12 @@ class MotorObserver:
         samples have ceased. A belief that has not gone out yet goes out with its own sample.
 
         Args:
-            is_quiet: whether it may be that no sample follows.
+            is_quiet: whether it may be that no sample follows; for who asks now and then. Where
+                none has come since it was asked so, tests that have begun are ended.
         """
         self.run_deferred()
+        if is_quiet:
+            self._fit_tests.rest()
         retests, self._retests = self._retests, {}
         if is_quiet:
             retests.update(dict.fromkeys(self._spread_changes, True))
