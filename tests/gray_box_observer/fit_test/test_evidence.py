@@ -219,14 +219,15 @@ def test_evidence_goes_on_from_window_to_window() -> None:
 
 def _motor_under_test(begin: int, delay_s: float) -> MotorUnderTest:
     """Return a motor whose last test began at sample 2048, with no delay."""
-    nodes: Any = SimpleNamespace(replay=ReplayBuffer(1, 2), present_since=lambda _: begin)
+    answers = {'is_drifting': lambda _: False, 'present_since': lambda _: begin}
+    nodes: Any = SimpleNamespace(replay=ReplayBuffer(1, 2), **answers)
     judgement = Judgement(FitVerdict.OK, np.ones(2), np.zeros((2, 2)))
     assessment = FitAssessment(FitVerdict.OK, 1.0, 1.0, (), WINDOW)
     known = Evidence({DELAY: Amount(1.0, 0.1)}, 9000.0)
     numbers = (9000, 8000, 64, 1.0, 0, 0.1)
     before = FitResult(assessment, judgement, np.ones(2), *numbers, True, known, present_since=2048)
     estimate: Any = None
-    return MotorUnderTest(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
+    return MotorUnderTest.snapshot(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
 
 
 def test_evidence_lasts_until_the_motor_or_its_delay_is_another() -> None:

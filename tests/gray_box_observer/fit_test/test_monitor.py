@@ -259,23 +259,6 @@ def test_a_test_that_changes_nothing_that_is_believed_says_so() -> None:
 
 
 @pytest.mark.slow
-def test_deviations_that_a_test_has_changed_go_out_with_the_next_estimate() -> None:
-    """They alone are told at once only where samples may have ceased."""
-    observer = _healthy().observed()  # whose stamps may be late: every test says how much
-    motor = observer.group_of('motor').observer
-    assert motor is not None
-    motor.retested(is_quiet=True)
-    spread_changes = []
-    for _ in _feed_on(observer, _healthy(seed=7, samples=3 * SAMPLES)):
-        assert not any(motor.retested().values())
-        spread_changes += motor.retested(is_quiet=True).values()
-    assert spread_changes.count(True) >= 2
-    for _ in _feed_on(observer, _healthy(seed=8, samples=3 * SAMPLES), later=4 * SAMPLES):
-        assert not any(motor.retested().values())
-    assert motor.retested(is_quiet=True) == {}, 'the estimates since have said it'
-
-
-@pytest.mark.slow
 def test_results_of_a_motor_that_fits_do_not_wait_for_the_question_whether_a_test_is_due(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining, Predictor
@@ -507,3 +508,11 @@ def test_whoever_says_twice_that_learning_goes_on_begins_a_new_history_all_the_s
     motor = one.group_of('motor').observer
     for replay in (motor.context_nodes.replay, motor.forecasting.training.replay):
         assert replay.interval_s(3)[0].tolist() == [0.01, 0.01, 0.0]
+
+
+def test_nothing_is_precomputed_before_the_first_sample() -> None:
+    configuration = Configuration.from_flat({})
+    motors = list(configuration.motors.values())
+    observer = motor_observer(configuration, motors, InlineTraining, speed_measured=False)
+    observer.precompute_forecast(5.0)
+    observer.close()

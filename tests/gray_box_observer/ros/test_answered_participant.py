@@ -9,14 +9,15 @@ import pytest
 
 from gray_box_observer.ros.watching import answered_participant
 from gray_box_observer.ros.watching.answered_participant import MOST_PARTICIPANTS
+from gray_box_observer.watching.observer_state import MOST_OBSERVERS
 
 
 class Handle(nullcontext):
     """The reader of latched estimates that came once."""
 
-    def __init__(self) -> None:
+    def __init__(self, is_silent: bool) -> None:
         super().__init__()
-        self.waiting = [(b'estimates', None)]
+        self.waiting = [] if is_silent else [(b'estimates', None)]
 
     def take_message(self, _kind: type, _raw: bool) -> tuple[bytes, None] | None:
         """Return what waits."""
@@ -28,15 +29,16 @@ class Reader:
 
     msg_type = object
 
-    def __init__(self) -> None:
-        self.handle = Handle()
+    def __init__(self, is_silent: bool) -> None:
+        self.handle = Handle(is_silent)
 
 
 class Participant:
     """Stands in for a node of a participant: some observers have answered it."""
 
-    def __init__(self, answers: tuple[str, ...]) -> None:
+    def __init__(self, answers: tuple[str, ...], is_silent: bool = False) -> None:
         self.answers = answers
+        self.is_silent = is_silent
         self.subscribed: list[str] = []
         self.is_destroyed = False
 
@@ -49,7 +51,7 @@ class Participant:
     def create_subscription(self, _kind: type, topic: str, *_: Any) -> Reader:
         """Note that a topic is read."""
         self.subscribed.append(topic)
-        return Reader()
+        return Reader(self.is_silent)
 
     def destroy_node(self) -> None:
         """Note that the participant is gone."""
@@ -71,14 +73,50 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Participant]:
     return participants
 
 
-@pytest.mark.parametrize(('observers', 'count'), [((), 2), (('/b',), 3), (('/a', '/b'), 3)])
+@pytest.mark.parametrize(
+    ('observers', 'count', 'heard'),
+    [((), 2, ('/a',)), (('/b',), 3, ('/b',)), (('/a', '/b'), 3, ('/a', '/b'))],
+)
 def test_a_participant_is_held_once_the_observers_have_answered(
-    made: list[Participant], observers: tuple[str, ...], count: int
+    made: list[Participant], observers: tuple[str, ...], count: int, heard: tuple[str, ...]
 ) -> None:
     with answered_participant.answered_participant(observers, lambda: False):
         assert [one.is_destroyed for one in made] == [True] * (count - 1) + [False]
-        assert made[-1].subscribed == [f'{name}/estimates' for name in made[-1].answers]
+        assert made[-1].subscribed == [f'{name}/estimates' for name in heard]
     assert made[-1].is_destroyed
+
+
+def test_an_observer_with_nothing_to_tell_yet_is_waited_for_with_two_participants(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[Participant] = []
+
+    def make() -> Participant:
+        made.append(Participant(('/a',), is_silent=True))
+        return made[-1]
+
+    monkeypatch.setattr(answered_participant, '_listening_node', make)
+    monkeypatch.setattr(answered_participant, 'ANSWER_S', 0.05)
+    with answered_participant.answered_participant((), lambda: False):
+        assert [one.is_destroyed for one in made] == [True, False]
+
+
+def test_a_crowd_of_observers_is_not_listened_to_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    crowd = Participant(tuple(f'/o{k}' for k in range(300)))
+    monkeypatch.setattr(answered_participant, '_listening_node', lambda: crowd)
+    with answered_participant.answered_participant((), lambda: False):
+        assert len(crowd.subscribed) == MOST_OBSERVERS
+
+
+def test_what_fails_meanwhile_leaves_no_participant(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = Participant(())
+    monkeypatch.setattr(answered_participant, '_listening_node', lambda: broken)
+    with (
+        pytest.raises(ZeroDivisionError),
+        answered_participant.answered_participant((), lambda: bool(1 // 0)),
+    ):
+        pass
+    assert broken.is_destroyed
 
 
 def test_where_nobody_answers_the_last_one_is_held(made: list[Participant]) -> None:

@@ -349,7 +349,7 @@ def test_a_test_of_the_fit_publishes_no_estimate_that_is_not_finite(monkeypatch)
         'published',
         lambda *given: replace(real(*given), value=np.full((1, 3), np.nan)),
     )
-    monkeypatch.setattr(MotorObserver, 'retested', lambda self, **_: {0: True})
+    monkeypatch.setattr(MotorObserver, 'retested', lambda self: {0: True})
     observer.contain(group, partial(outputs.publish_tested, group))
     assert 'not finite' in observer.incidents['motor'].reason
     assert not sent_to(node, 'resistance', Float64)

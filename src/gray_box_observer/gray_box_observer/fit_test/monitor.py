@@ -20,13 +20,11 @@ from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
-from gray_box_observer.fit_test.saved_test import check_saved_test
+from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
 from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
+from gray_box_observer.safe_io.saved_state import group
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
-
-HELD = 64
-"""Work that it is to hold on to samples."""
 
 _UNTESTED = FitAssessment()
 
@@ -71,15 +69,17 @@ class FitMonitor:
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
     ) -> None:
-        """Test one motor at once, as :meth:`test_in_pieces` does."""
-        completed(self.test_in_pieces(nodes, estimate, motor, delay))
+        """Test one motor at once, and note what follows; arguments are those of :meth:`begin`."""
+        pieces = self.begin(nodes, estimate, motor, delay)
+        if pieces is not None:
+            self.follow(motor, completed(pieces))
 
-    def test_in_pieces(
+    def begin(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
-    ) -> Pieces[None]:
-        """Test one motor by all the samples that count, and note what follows.
+    ) -> Pieces[FitResult] | None:
+        """Begin to test one motor by all the samples that count, as they are now.
 
-        The first piece holds on to these samples: others may come meanwhile.
+        None where there is too little to tell by: it is asked again later.
 
         Args:
             nodes: the rule that has learnt it.
@@ -92,12 +92,11 @@ class FitMonitor:
         count = subject.count(WINDOW)
         if count < test.fewest:
             self.schedule.put_off(motor, subject.place + test.fewest - count)
-        elif not test.can_tell(subject, count):
+            return None
+        if not test.can_tell(subject, count):
             self.schedule.put_off(motor, subject.place + SHORTEST_WAIT)
-        else:
-            yield HELD
-            result = yield from test.pieces(subject, count)
-            self._follow(motor, result)
+            return None
+        return test.pieces(subject, count)
 
     def test_newest(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -113,18 +112,18 @@ class FitMonitor:
             return
         result = test.test_change(subject, count)
         if result is not None:
-            self._follow(motor, result)
+            self.follow(motor, result)
 
     def _begin(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
     ) -> MotorUnderTest:
         """Note that a motor is tested; return it as it is now."""
-        subject = MotorUnderTest(nodes, estimate, motor, delay, self._results[motor])
+        subject = MotorUnderTest.snapshot(nodes, estimate, motor, delay, self._results[motor])
         self.schedule.begin_test(motor, subject.place)
         return subject
 
-    def _follow(self, motor: int, result: FitResult) -> None:
-        """Keep what a test has left, and have the next one follow."""
+    def follow(self, motor: int, result: FitResult) -> None:
+        """Keep what a test has left: it counts from now on. The next one follows."""
         self._keep(motor, result)
         self.schedule.follow(motor, result)
 
@@ -171,20 +170,36 @@ class FitMonitor:
             self._keep(motor, None)
         self.schedule.forget()
 
-    def state(self, motor: int, received_count: int) -> dict[str, Any]:
-        """Everything about one motor, as plain values; places count back from the newest."""
+    def state(
+        self, motor: int, received_count: int, later_result: FitResult | None = None
+    ) -> dict[str, Any]:
+        """Everything about one motor, as plain values; places count back from the newest.
+
+        Args:
+            motor: its place on the motor axis.
+            received_count: place of its newest sample.
+            later_result: of a test that has begun and does not count yet.
+        """
         result = self._results[motor]
         saved_result = {} if result is None else result.state(received_count)
-        return {**self.schedule.state(motor, received_count), **saved_result}
+        later = {} if later_result is None else {'later': later_result.state(received_count)}
+        return {**self.schedule.state(motor, received_count), **saved_result, **later}
 
-    def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
-        """Take back what :meth:`state` gave.
+    def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> FitResult | None:
+        """Take back what :meth:`state` gave; return the result that does not count yet.
 
         Raises:
             CheckpointError: it is no state that a test could have left.
         """
-        check_saved_test(plain, len(self._tests[motor].white_box.parameters))
+        parameters = len(self._tests[motor].white_box.parameters)
+        check_saved_test(plain, parameters)
+        later_result = None
+        if 'later' in plain:
+            saved_result = dict(group(plain, 'later'))
+            check_saved_result(saved_result, parameters)
+            later_result = FitResult.restored(saved_result, received_count)
         has_result = 'assessment' in plain
         result = FitResult.restored(plain, received_count) if has_result else None
         self._keep(motor, result)
         self.schedule.restore(plain, motor, received_count, result)
+        return later_result

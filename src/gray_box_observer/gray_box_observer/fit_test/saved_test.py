@@ -60,8 +60,16 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         whole(plain, 'soon', -MOST, MOST)
     if 'tested_at' in plain:
         whole(plain, 'tested_at', -MOST, MOST_AHEAD)
-    if 'assessment' not in plain:
-        return
+    if 'assessment' in plain:
+        check_saved_result(plain, parameters)
+
+
+def check_saved_result(plain: Mapping[str, Any], parameters: int) -> None:
+    """Refuse a saved result that no test could have left; arguments are those above.
+
+    Raises:
+        CheckpointError: it is such.
+    """
     assessment = group(plain, 'assessment')
     if entry(assessment, 'verdict') not in [verdict.value for verdict in FitVerdict]:
         raise CheckpointError('fit.verdict is none of those that there are')
@@ -124,7 +132,7 @@ def check_evidence(plain: Mapping[str, Any]) -> None:
             raise CheckpointError('fit.evidence has a standard deviation that is none')
 
 
-def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
+def _saved_numbers(plain: Mapping[str, Any], name: str) -> Array:
     """Return a list of numbers as an array.
 
     Raises:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.effects import (
@@ -92,6 +93,13 @@ class Explanation:
 
 
 def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, Explanation]:
+    """Explain at once; see :func:`explanations_in_pieces`."""
+    return completed(explanations_in_pieces(white_box, stretch))
+
+
+def explanations_in_pieces(
+    white_box: MotorWhiteBox, stretch: SampleWindow
+) -> Pieces[dict[str, Explanation]]:
     """Fit every effect beside the parameters; return its best alternative by its name.
 
     Args:
@@ -101,9 +109,11 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
     rows, names, candidates = _balance(white_box, stretch)
     if rows.shape[1] < FEWEST_ROWS:
         return {}
+    yield rows.shape[1]
     count = rows.shape[1]
     if count > rows.shape[0]:  # sums of squares are all that is asked of them
         rows = np.asarray(np.linalg.qr(rows.T, mode='r')).T
+    yield count
     regressors = list(rows[: len(names)])
     target = rows[len(names)]
     base_rest, _ = _fit(regressors, target)
@@ -117,6 +127,7 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
         rest, weights = _fit([*regressors, *further], target)
+        yield rows.shape[1]
         if not math.isfinite(rest):
             continue
         gain = 0.5 * count / STRIDE * math.log(base_rest / rest)

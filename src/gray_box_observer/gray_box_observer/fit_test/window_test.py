@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,7 @@ from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import (
     Explanation,
-    explanations,
+    explanations_in_pieces,
     root_mean_square,
     scored_explanations,
     select_explanations,
@@ -89,45 +89,64 @@ class MotorUnderTest:
     """A motor, as it is when its test begins: more samples may come before the test ends.
 
     Attributes:
-        nodes: the rule that has learnt it, perhaps with others.
         estimate: of this motor alone, as the rule gives it.
-        motor: its place on the motor axis.
         delay: what is known of its delay.
         before: what its last test has left; None: there was none.
         place: of its newest sample.
         begin: place before the oldest sample that counts.
         present_since: place from which it is the motor that it is now.
+        is_drifting: whether it is known to drift.
         content: its newest samples, also those that are learnt from no more, shape (signal, 1, n).
+        stored_count: samples that are there.
+        remembered_count: those of them that are learnt from.
     """
 
-    nodes: ContextUpdate
     estimate: Estimate
-    motor: int
     delay: DelayEstimate
     before: FitResult | None
-    place: int = field(init=False)
-    begin: int = field(init=False)
-    present_since: int = field(init=False)
-    content: Array = field(init=False)
-    _stored_count: int = field(init=False)
-    _remembered_count: int = field(init=False)
+    place: int
+    begin: int
+    present_since: int
+    is_drifting: bool
+    content: Array
+    stored_count: int
+    remembered_count: int
 
-    def __post_init__(self) -> None:
-        one = slice(self.motor, self.motor + 1)
-        replay = self.nodes.replay
+    @classmethod
+    def snapshot(
+        cls,
+        nodes: ContextUpdate,
+        estimate: Estimate,
+        motor: int,
+        delay: DelayEstimate,
+        before: FitResult | None,
+    ) -> MotorUnderTest:
+        """Return a motor as it is now.
+
+        Args:
+            nodes: the rule that has learnt it, perhaps with others.
+            estimate: of this motor alone, as the rule gives it.
+            motor: its place on the motor axis.
+            delay: what is known of its delay.
+            before: what its last test has left; None: there was none.
+        """
+        one = slice(motor, motor + 1)
+        replay = nodes.replay
         # also after a restart: a checkpoint holds no more
-        stored_count = min(replay.stored(self.motor), replay.capacity)
+        stored_count = min(replay.stored(motor), replay.capacity)
         rows = replay.newest(min(stored_count, WINDOW), one).transpose(2, 0, 1)
-        snapshot = {
-            'place': replay.received_of(self.motor),
-            'begin': replay.begin_of(self.motor),
-            'present_since': self.nodes.present_since(self.motor),
-            'content': rows.copy().transpose(1, 2, 0),
-            '_stored_count': stored_count,
-            '_remembered_count': int(replay.remembered(one)[0]),
-        }
-        for name, value in snapshot.items():
-            object.__setattr__(self, name, value)
+        return cls(
+            estimate,
+            delay,
+            before,
+            replay.received_of(motor),
+            replay.begin_of(motor),
+            nodes.present_since(motor),
+            nodes.is_drifting(motor),
+            rows.copy().transpose(1, 2, 0),
+            stored_count,
+            int(replay.remembered(one)[0]),
+        )
 
     def count(self, most: int) -> int:
         """Return how many of its newest samples count, up to a number.
@@ -136,8 +155,8 @@ class MotorUnderTest:
         was tested and never fitted all that are stored count.
         """
         if self.before is not None and not self.before.has_fitted:
-            return min(self._stored_count, most)
-        return min(self._remembered_count, most)
+            return min(self.stored_count, most)
+        return min(self.remembered_count, most)
 
     @property
     def evidence(self) -> Evidence:
@@ -220,8 +239,8 @@ class WindowTest:
     def pieces(self, motor: MotorUnderTest, count: int) -> Pieces[FitResult]:
         """Test so many newest samples."""
         finding = yield from self._look(motor, count)
-        yield count
-        return self._conclude(motor, count, finding)
+        result = yield from self._conclude(motor, count, finding)
+        return result
 
     def test_change(self, motor: MotorUnderTest, count: int) -> FitResult | None:
         """Test so many newest samples of a motor that has passed; None where it still does."""
@@ -237,7 +256,7 @@ class WindowTest:
             judgement=replace(finding.judgement, verdict=FitVerdict.MISFIT),
             suspects=[*finding.suspects, change],
         )
-        return self._conclude(motor, count, finding)
+        return completed(self._conclude(motor, count, finding))
 
     def _look(self, motor: MotorUnderTest, count: int) -> Pieces[_Finding]:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
@@ -248,7 +267,7 @@ class WindowTest:
         content = np.ascontiguousarray(motor.newest(count))
         samples = content[:, 0]
         window = SampleWindow.of_content(white_box, content)
-        is_drifting = motor.nodes.is_drifting(motor.motor)
+        is_drifting = motor.is_drifting
         # samples may be absurd; what is not finite is a misfit
         analysis = yield from without_warnings(
             analysis_in_pieces(
@@ -294,7 +313,7 @@ class WindowTest:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         return _Finding(analysis, judgement, suspects, delay_suspect, noise_a)
 
-    def _conclude(self, motor: MotorUnderTest, count: int, finding: _Finding) -> FitResult:
+    def _conclude(self, motor: MotorUnderTest, count: int, finding: _Finding) -> Pieces[FitResult]:
         """Name what is likely left out, and say what the test leaves."""
         analysis = finding.analysis
         judgement = finding.judgement
@@ -303,13 +322,11 @@ class WindowTest:
         suspects = finding.suspects
         if judgement.verdict is not FitVerdict.OK or is_dubious(analysis):
             has_rotor = self.white_box.has_rotor
-            candidates = (
-                {}  # its balance has a speed that nobody measures
-                if has_rotor
-                else explanations(
-                    self.white_box, SampleWindow.of_content(self.white_box, motor.content)
-                )
-            )
+            candidates = {}
+            if not has_rotor:  # its balance has a speed that nobody measures
+                yield count
+                window = SampleWindow.of_content(self.white_box, motor.content)
+                candidates = yield from explanations_in_pieces(self.white_box, window)
             is_added = bool(self.configuration.added_effects)
             is_warned = judgement.verdict is FitVerdict.WARNING
             if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):

@@ -15,13 +15,13 @@ from gray_box_observer.context_nodes import (
     RotorUpdate,
     VerdictSettings,
 )
-from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
-from gray_box_observer.observer.fit_test_queue import FitTestQueue
+from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
 from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
@@ -82,14 +82,14 @@ class MotorObserver:
 
     def __init__(self, form: MotorForm, form_choice: FormChoice) -> None:
         self.form_choice = form_choice
-        self._fit_tests = FitTestQueue(self._test_deferred)
+        self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
+        self._open_test: DeferredFitTest | None = None
         self._estimate_to_schedule: Estimate | None = None  # it has gone out; is its test due?
         self._retests: dict[int, bool] = {}
-        self._spread_changes: set[int] = set()  # motors whose deviations, not out yet, tests moved
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
         self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
-        self._intervals_s = np.empty(0), np.empty(0)  # of the last two samples
+        self._intervals_s = np.full(1, np.nan), np.full(1, np.nan)  # of the last two samples
         self.motors = form.context_nodes.theta.shape[0]
         self._nobody = np.zeros(self.motors, dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
@@ -97,7 +97,8 @@ class MotorObserver:
 
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
-        self._fit_tests.clear()
+        self._tests = []
+        self._open_test = None
         self.white_box = form.white_box
         self.context_nodes = form.context_nodes
         self.delay = form.delay
@@ -167,11 +168,12 @@ class MotorObserver:
         """
         if (
             self._deferred_update is not None
+            or self._tests
             or self._estimate_to_schedule is not None
-            or not self._fit_tests.is_empty
         ):
             self.run_deferred()
-        self._fit_tests.begin_sample(sample.interval_s.item() if self.motors == 1 else 0.0)
+        if self._open_test is not None:
+            self._open_test.begin_sample()
         prediction = (
             None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
@@ -196,10 +198,12 @@ class MotorObserver:
         """
         if self._estimate_to_schedule is not None:
             self._ask_for_tests()
-        if self.motors == 1:
-            self._fit_tests.advance()
-        else:  # estimates change too often for pieces
-            self._fit_tests.complete()
+        if self._open_test is not None:
+            test, self._open_test = self._open_test, None  # one that fails is given up
+            test.advance()
+            self._open_test = test
+        if self._tests:
+            self._do_tests()
         update = self._deferred_update
         if update is None:
             return
@@ -207,10 +211,40 @@ class MotorObserver:
         if not (self.form_choice.is_idle or self._is_frozen):
             self._try_other_form(update.sample)
 
-    def _complete_deferred(self) -> None:
-        """Do what the last sample has left, and the rest of the tests of the fit."""
-        self.run_deferred()
-        self._fit_tests.complete()
+    def _do_tests(self) -> None:
+        """Do tests that are due, or begin one whose result counts with the next estimate."""
+        tests, self._tests = self._tests, []
+        for motor, is_recent in tests:
+            if is_recent or self.motors > 1:  # it is short, or estimates change with every sample
+                estimate = self._test(motor, is_out=True, is_recent=is_recent)
+                self._know(estimate, slice(motor, motor + 1))
+                continue
+            self._end_test(is_out=True)
+            work = self._belief.begin_test(motor, self.delay_of(motor))
+            if work is not None:
+                self._open_test = DeferredFitTest(work)
+
+    def _end_test(self, *, is_out: bool) -> bool:
+        """Let the result of the test that has begun count; tell whether it changes the belief.
+
+        Args:
+            is_out: whether the present estimate has gone out already.
+        """
+        if self._open_test is None:
+            return False
+        test, self._open_test = self._open_test, None
+        estimate, has_changed = self._belief.follow(0, test.result())
+        self._note_test(0, has_news=is_out and has_changed)
+        if is_out:
+            self._know(estimate)
+        return has_changed
+
+    def _later_result(self) -> FitResult | None:
+        """Return the result of the test that has begun; it counts with the next estimate."""
+        test, self._open_test = self._open_test, None  # one that fails is given up
+        result = None if test is None else test.result()
+        self._open_test = test
+        return result
 
     def _judge_prediction(self, update: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -235,15 +269,18 @@ class MotorObserver:
         self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
     def finish(self) -> bool:
-        """Do what is left of fits and of a trial of another form: no samples will come.
+        """Do what is left of fits, tests and a trial of another form: no samples will come.
 
         Returns:
             Whether an estimate has changed.
         """
-        self._complete_deferred()
+        self.run_deferred()
+        has_changed = self._end_test(is_out=True)
+        if has_changed:
+            self.changed_motors = _FIRST
         if self._is_frozen:
-            return False
-        has_changed = self._finish_fits()
+            return has_changed
+        has_changed |= self._finish_fits()
         if self.form_choice.is_open:
             nodes = self.context_nodes
             fit = self._fit.assessment(0)
@@ -259,7 +296,7 @@ class MotorObserver:
         if not (isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish()):
             return False
         self.changed_motors = _FIRST
-        self._know(completed(self._test(0, is_out=True)))
+        self._know(self._test(0, is_out=True))
         return True
 
     def _go_over(self, form: MotorForm | None) -> None:
@@ -313,10 +350,11 @@ class MotorObserver:
             self.changed_motors = _NOBODY
             if (
                 self._speed is not None
-                and self._fit_tests.is_empty
+                and not self._tests
+                and self._open_test is None
                 and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
             ):
-                self._fit_tests.ask(0, is_recent=True)
+                self._tests.append((0, True))
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -325,8 +363,6 @@ class MotorObserver:
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
         estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
-        if self._spread_changes:
-            self._spread_changes.difference_update(self.changed_motors.tolist())
         return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
@@ -347,64 +383,55 @@ class MotorObserver:
 
         Who waits for nothing is tested when the sample's results are out.
         """
-        self._fit_tests.complete_begun()
+        self._end_test(is_out=False)
         schedule = self._fit.schedule
         if self.motors == 1 and schedule.is_settled(estimate):
             self._estimate_to_schedule = estimate
         else:
             for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
                 if schedule.is_urgent(motor):
-                    completed(self._test(motor, is_out=False))
+                    self._test(motor, is_out=False)
                 else:
-                    self._fit_tests.ask(motor)
+                    self._tests.append((motor, False))
         return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
 
     def _ask_for_tests(self) -> None:
         """Ask whether a test is due of the one motor whose newest estimate has gone out."""
         estimate, self._estimate_to_schedule = self._estimate_to_schedule, None
         assert estimate is not None
-        for motor in self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST):
-            self._fit_tests.ask(motor)
+        motors = self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST)
+        self._tests += [(motor, False) for motor in motors]
 
-    def retested(self, *, is_quiet: bool = False) -> dict[int, bool]:
-        """Return whose fit was tested since the last call, and whether their belief goes out now.
+    def retested(self) -> dict[int, bool]:
+        """Return whose fit was tested since the last call, and whether their belief has changed.
 
-        Verdicts that have changed do. Deviations alone go out with the next estimate, unless
-        samples have ceased. A belief that has not gone out yet goes out with its own sample.
-
-        Args:
-            is_quiet: whether it may be that no sample follows; for who asks now and then. Where
-                none has come since it was asked so, tests that have begun are ended.
+        A belief that has not gone out yet does not count as changed.
         """
         self.run_deferred()
-        if is_quiet:
-            self._fit_tests.rest()
         retests, self._retests = self._retests, {}
-        if is_quiet:
-            retests.update(dict.fromkeys(self._spread_changes, True))
-            self._spread_changes.clear()
         return dict(sorted(retests.items()))
 
-    def _test_deferred(self, motor: int, is_recent: bool) -> Pieces[None]:
-        """Test the fit of one motor whose present estimate has gone out."""
-        estimate = yield from self._test(motor, is_out=True, is_recent=is_recent)
-        self._know(estimate, slice(motor, motor + 1))
-
-    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Pieces[Estimate]:
-        """Test the fit of one motor; its estimate as far as that lets it be believed.
+    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
+        """Test the fit of one motor; return its estimate as far as that lets it be believed.
 
         Args:
             motor: its place on the motor axis.
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
         """
-        test = yield from self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
+        estimate, has_changed = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
+        self._note_test(motor, has_news=is_out and has_changed)
+        return estimate
+
+    def _note_test(self, motor: int, *, has_news: bool) -> None:
+        """Note that a motor was tested, for whoever publishes and for the choice of the form.
+
+        Args:
+            motor: its place on the motor axis.
+            has_news: whether its belief is another than has gone out.
+        """
         self.form_choice.wake()
-        has_news = is_out and test.has_new_verdicts
         self._retests[motor] = self._retests.get(motor, False) or has_news
-        if is_out and test.has_new_spread:
-            self._spread_changes.add(motor)
-        return test.estimate
 
     def _know(
         self, estimate: Estimate, motors: Any = slice(None), *, follows_level: bool = True
@@ -420,7 +447,8 @@ class MotorObserver:
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
-        self._complete_deferred()
+        self.run_deferred()
+        self._end_test(is_out=True)
         self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
         if self._forecasting is not None:
@@ -470,7 +498,6 @@ class MotorObserver:
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
     ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
-        self._complete_deferred()
         self._live_settings = verdicts, alarm, core_share
         self.context_nodes.verdict_rules = verdicts
         self._know(self._believed())
@@ -492,7 +519,8 @@ class MotorObserver:
         """Restart with new context nodes from samples paired anew; the network trains on."""
         if not samples:
             return
-        self._complete_deferred()
+        self.run_deferred()
+        self._open_test = None  # it has tested samples that were paired by another delay
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -519,7 +547,7 @@ class MotorObserver:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
-        self._complete_deferred()
+        self.run_deferred()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self._forecasting is None else self._forecasting.state(motor)
         delay = (
@@ -533,7 +561,7 @@ class MotorObserver:
             'context_nodes': plain,
             **({'mechanics': list(mechanics)} if mechanics else {}),
             'delay': delay,
-            'fit': self._fit.state(motor, place),
+            'fit': self._fit.state(motor, place, self._later_result()),
             'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
@@ -577,7 +605,9 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
-        self._fit.restore(dict(group(plain, 'fit')), motor, place)
+        later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
+        if self.motors == 1 and later_result is not None:
+            self._open_test = DeferredFitTest(later_result)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.form_choice.restore(
                 group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place

@@ -178,7 +178,9 @@ class Observer:
         return self._flat([result for group in self.every_group for result in self._flush(group)])
 
     def finish(self) -> tuple[str, ...]:
-        """Do what is left of fits and trials, within bounds: no samples will come.
+        """Do what is left of fits, trials and tests: no samples will come; part of the Python API.
+
+        It is done within bounds.
 
         Returns:
             Names of the motors whose estimates have changed.

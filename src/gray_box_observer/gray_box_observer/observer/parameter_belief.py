@@ -6,9 +6,10 @@ not known of the scales, and parts that were known.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -23,23 +24,10 @@ from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
-
-
-class BeliefTest(NamedTuple):
-    """What a test of the fit has left of the belief in one motor.
-
-    Attributes:
-        estimate: what is believed of it then.
-        has_new_verdicts: whether its verdicts are others than before.
-        has_new_spread: the same of its covariance.
-    """
-
-    estimate: Estimate
-    has_new_verdicts: bool
-    has_new_spread: bool
 
 
 class ParameterBelief:
@@ -175,27 +163,45 @@ class ParameterBelief:
         self.is_identified[motors] = is_identified
         self.known_flags[motors] = known_flags
 
-    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> Pieces[BeliefTest]:
-        """Test the fit of one motor; what is believed of it must stay the same meanwhile.
+    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> tuple[Estimate, bool]:
+        """Test the fit of one motor at once.
 
         Args:
             motor: its place on the motor axis.
             delay: what is known of its delay.
             is_recent: whether its newest samples alone are tested.
+
+        Returns:
+            What is believed of it then, and whether that has changed.
         """
-        one = slice(motor, motor + 1)
-        estimate = self.context_nodes.estimate(one)
-        before = self._judged(estimate, one)
-        if is_recent:
-            self._fit.test_newest(self.context_nodes, estimate, motor, delay)
-        else:
-            yield from self._fit.test_in_pieces(self.context_nodes, estimate, motor, delay)
-        after = self._judged(estimate, one)
-        return BeliefTest(
-            after,
-            before.verdicts != after.verdicts,
-            not np.array_equal(before.covariance, after.covariance),
+        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        test = self._fit.test_newest if is_recent else self._fit.test
+        return self._compared(
+            motor, estimate, partial(test, self.context_nodes, estimate, motor, delay)
         )
+
+    def begin_test(self, motor: int, delay: DelayEstimate) -> Pieces[FitResult] | None:
+        """Begin to test the fit of one motor by all samples that count; None: too few."""
+        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        return self._fit.begin(self.context_nodes, estimate, motor, delay)
+
+    def follow(self, motor: int, result: FitResult) -> tuple[Estimate, bool]:
+        """Believe of one motor what a test of its fit has left; returns what :meth:`test` does."""
+        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        return self._compared(motor, estimate, partial(self._fit.follow, motor, result))
+
+    def _compared(
+        self, motor: int, estimate: Estimate, act: Callable[[], None]
+    ) -> tuple[Estimate, bool]:
+        """Do what may change the belief in one motor; return that, and whether it has."""
+        one = slice(motor, motor + 1)
+        before = self._judged(estimate, one)
+        act()
+        after = self._judged(estimate, one)
+        has_changed = before.verdicts != after.verdicts or not np.array_equal(
+            before.covariance, after.covariance
+        )
+        return after, has_changed
 
     def check_flags(self, flags: Any) -> None:
         """Refuse saved flags that are not one a published parameter.

@@ -112,8 +112,7 @@ class Session:
         self.run_deferred()
         if self.outputs is not None:
             for group in self.observer.every_group:
-                publish = partial(self.outputs.publish_tested, group, is_quiet=True)
-                self.observer.contain(group, publish)
+                self.observer.contain(group, partial(self.outputs.publish_tested, group))
 
     def report_incidents(self) -> None:
         """Report motors that have stopped since the last call, and clear their latched topics."""

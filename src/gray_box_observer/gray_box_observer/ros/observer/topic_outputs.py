@@ -126,17 +126,12 @@ class Outputs:
                 self._alarms(result.group.names, flags)
                 self.publish_tested(result.group)
 
-    def publish_tested(self, group: Group, *, is_quiet: bool = False) -> None:
-        """Publish the fit of motors that were tested since, and the beliefs that it has changed.
-
-        Args:
-            group: the motors.
-            is_quiet: whether it may be that no estimate follows that will say the rest.
-        """
+    def publish_tested(self, group: Group) -> None:
+        """Publish the fit of motors that were tested since, and the beliefs that it has changed."""
         observer = group.observer
         if observer is None or not self._fit:
             return
-        for motor, has_changed in observer.retested(is_quiet=is_quiet).items():
+        for motor, has_changed in observer.retested().items():
             name = group.names[motor]
             self.fit(name, observer.fit_of(motor))
             if not has_changed:

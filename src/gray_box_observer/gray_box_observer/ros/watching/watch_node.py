@@ -39,6 +39,7 @@ class WatchNode(Node):
         period_s: between two tables.
         once: end with the first table that is complete.
         timeout_s: with `once`, show what was heard after so long at the latest.
+        started_s: monotonic time from which that counts; None: now.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class WatchNode(Node):
         *,
         once: bool = False,
         timeout_s: float = SILENT_S,
+        started_s: float | None = None,
     ) -> None:
         super().__init__(NODE_NAME, **WITHOUT_SERVICES)
         self._stop = stop
@@ -61,7 +63,7 @@ class WatchNode(Node):
         self.state = WatchedState(observers)
         look_round_s = LOOK_ROUND_S if once else LOOK_ROUND_LATER_S
         self._listener = ObserverListener(self, self.state, observers, time.monotonic, look_round_s)
-        self._started_s = time.monotonic()
+        self._started_s = time.monotonic() if started_s is None else started_s
         self._shown_s = -period_s
         self._shown_count = 0
         self._has_complained = False
@@ -95,7 +97,8 @@ class WatchNode(Node):
         reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
         return (
             f'no observer heard on {where} for {self._timeout_s:g} s: is it running, active, and '
-            f'with ROS_DOMAIN_ID={domain} like this (discovery range {reach})?'
+            f'with ROS_DOMAIN_ID={domain} like this (discovery range {reach})? make demo has a '
+            'domain of its own, and says which'
         )
 
     def _show(self, now_s: float) -> None:
