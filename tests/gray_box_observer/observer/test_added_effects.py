@@ -175,7 +175,9 @@ def test_an_effect_that_the_user_has_named_is_believed_where_it_differs_from_its
     both = fed(recorded(plant, 'R[-10,10]D[0.05,0.5]', 3.0, 1), offset_v, speed=False, **nodes)
     for name, (value, std, verdict) in values_of(both.motors['motor']).items():
         true = offset_v if name == 'voltage_offset' else getattr(plant, name)
-        assert verdict in ('identified', 'negligible', 'converging'), name
+        # of what is not there a fit of few samples may know no more than that it is small
+        small = () if true else ('unexcited',)
+        assert verdict in ('identified', 'negligible', 'converging', *small), name
         assert abs(value - true) < max(4.0 * std, 0.02 * abs(true)), name
 
 
