@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import shlex
 import shutil
 import sys
@@ -67,6 +68,8 @@ def main(args: Sequence[str] | None = None) -> int:
 
     :data:`EXIT_CODES` says what it means.
     """
+    if args is None:  # what was loaded stays to the end: no collection need walk over it
+        gc.freeze()
     try:
         words = list(sys.argv if args is None else args)[1:]
         options = _parser().parse_args(words)
