@@ -115,9 +115,10 @@ def test_a_test_in_pieces_tests_the_samples_with_which_it_began() -> None:
         except StopIteration as end:
             assert _digest(end.value) == _digest(at_once)
             break
-        append(FEW + count)  # whose memory takes the room of the oldest
-        count += 1
-    assert count > 5
+        for _ in range(FEW):  # the memory moves, and takes the room of the oldest
+            append((FEW + count) % (2 * FEW - 1))
+            count += 1
+    assert count > 5 * FEW
 
 
 def _digest(result: FitResult) -> tuple[object, ...]:

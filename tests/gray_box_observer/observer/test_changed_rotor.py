@@ -22,6 +22,9 @@ RATE_HZ = 250.0
 # between the fits at 1370 and 2060 samples
 LEARNT_S = 5.6
 FOLLOWED_S = 2.4
+RIGHT_AFTER_S = 8.24
+"""At the fit at 2055 samples a test is due."""
+
 HOT = replace(GEAR_MOTOR, resistance=1.15 * GEAR_MOTOR.resistance)
 CONFIGURATION = Configuration.from_flat(
     {**CONSTANTS, 'motor.speed_source': 'rotor', 'motor.stamps_exact': True}
@@ -52,6 +55,17 @@ def test_a_winding_that_gets_hot_at_once_makes_a_misfit_before_the_next_fit() ->
     motor = followed(HOT).motors['motor']
     assert motor.fit.verdict is FitVerdict.MISFIT
     assert motor.fit.suspects[0].effect == 'change'
+    assert not motor.identified
+
+
+def test_so_does_one_that_gets_hot_right_after_a_fit_and_its_test() -> None:
+    observer = Observer(CONFIGURATION)
+    feed(observer, [recorded(GEAR_MOTOR, LIVELY, RIGHT_AFTER_S, 1, RATE_HZ)])
+    motor = observer.motors['motor']
+    assert motor.identified
+    begin_ns = round((RIGHT_AFTER_S + 1.0 / RATE_HZ) * 1e9)
+    feed(observer, [recorded(HOT, LIVELY, FOLLOWED_S, 2, RATE_HZ)], begin_ns)
+    assert motor.fit.verdict is FitVerdict.MISFIT
     assert not motor.identified
 
 

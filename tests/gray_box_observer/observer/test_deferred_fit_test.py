@@ -15,9 +15,12 @@ from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.policy import Judgement
+from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
+from gray_box_observer.observer.builder import context_nodes
 from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
 INTERVAL_NS = 1_000_000
@@ -216,3 +219,109 @@ def test_one_that_fails_stops_the_motor_once(
         observer.torque('motor', stamp_ns, float(signals[1][k]))
         k += 1
     assert 'a piece' in observer.incidents['motor'].reason
+
+
+def until_open(observer: Observer, signals: tuple[np.ndarray, np.ndarray]) -> int:
+    """Feed a motor until a test has begun that does not count yet; return the samples."""
+    k = 0
+    while not (k > 200 and has_open_test(observer)):
+        feed(observer, signals, k)
+        k += 1
+    return k
+
+
+def test_its_pieces_are_done_behind_samples_and_none_is_left_for_the_next_estimate(
+    configuration: Configuration,
+    signals: tuple[np.ndarray, np.ndarray],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    places: list[int] = []
+    pieces_of = WindowTest.pieces
+
+    def pieces(test: WindowTest, motor: MotorUnderTest, count: int) -> Pieces[FitResult]:
+        work = pieces_of(test, motor, count)
+        while True:
+            places.append(k if has_passed else -1)
+            try:
+                size = next(work)
+            except StopIteration as end:
+                return end.value
+            yield size
+
+    monkeypatch.setattr(WindowTest, 'pieces', pieces)
+    observer = Observer(configuration)
+    has_passed = False
+    for k in range(OFFSET_FROM):
+        feed(observer, signals, k)
+        has_passed = observer.fit('motor').verdict is FitVerdict.OK
+        if k > 0:
+            observer_of(observer).retested()
+    later = [place for place in places if place > 300]
+    assert len(later) > 8
+    assert len(set(later)) == len(later), 'one a sample'
+
+
+def test_freezing_lets_it_count(
+    configuration: Configuration, signals: tuple[np.ndarray, np.ndarray]
+) -> None:
+    observer = Observer(configuration)
+    until_open(observer, signals)
+    before = observer.fit('motor').samples
+    observer.freeze(True)
+    assert not has_open_test(observer)
+    assert observer.fit('motor').samples > before
+
+
+def test_one_that_is_restored_into_a_frozen_observer_counts(
+    configuration: Configuration, signals: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    observer = Observer(configuration)
+    until_open(observer, signals)
+    checkpoint.save(observer, tmp_path / 'state.safetensors')
+    frozen = Observer(Configuration.from_flat({'predictor': False, 'freeze': True}))
+    checkpoint.load(frozen, tmp_path / 'state.safetensors')
+    assert not has_open_test(frozen)
+    observer.freeze(True)
+    assert frozen.fit('motor') == observer.fit('motor')
+
+
+def test_samples_that_are_paired_anew_leave_nothing_of_it(
+    configuration: Configuration, signals: tuple[np.ndarray, np.ndarray]
+) -> None:
+    observer = Observer(configuration)
+    count = until_open(observer, signals)
+    motor = observer_of(observer)
+    samples = [
+        Sample.of_one_motor(
+            (k + 1) * INTERVAL_NS, 1e-3, float(signals[0][k - 1]), float(signals[1][k])
+        )
+        for k in range(1, count)
+    ]
+    motors = list(configuration.motors.values())
+    motor.relearn(context_nodes(configuration, motors, motor.white_box), samples)
+    assert not has_open_test(observer)
+    assert observer.fit('motor').verdict is FitVerdict.UNTESTED
+
+
+def test_it_begins_with_its_own_sample_where_samples_are_learnt_again(
+    configuration: Configuration, signals: tuple[np.ndarray, np.ndarray]
+) -> None:
+    fits = []
+    for is_asked in (False, True):
+        observer = Observer(configuration)
+        count = until_open(observer, signals)
+        motor = observer_of(observer)
+        told = []
+        for k in range(count, count + 1000):
+            motor.update_parameters(
+                Sample.of_one_motor(
+                    (k + 1) * INTERVAL_NS, 1e-3, float(signals[0][k - 1]), float(signals[1][k])
+                )
+            )
+            if is_asked:
+                motor.retested()
+            told.append(observer.fit('motor') if k % 100 == 0 or is_asked else None)
+        fits.append(told)
+    pairs = [(one, two) for one, two in zip(*fits, strict=True) if one is not None]
+    assert len(pairs) == 10
+    assert all(one == two for one, two in pairs)

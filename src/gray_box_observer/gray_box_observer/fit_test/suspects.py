@@ -92,6 +92,10 @@ class Explanation:
         return Suspect(self.effect.name, self.evidence, remedy)
 
 
+TOGETHER = 16
+"""Alternatives that are fitted in one piece of work, each in about 0.05 ms."""
+
+
 def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, Explanation]:
     """Explain at once; see :func:`explanations_in_pieces`."""
     return completed(explanations_in_pieces(white_box, stretch))
@@ -123,11 +127,12 @@ def explanations_in_pieces(
     given_ohm = float(white_box.known.get('resistance', math.nan))
     best: dict[str, Explanation] = {}
     first = len(names) + 1
-    for effect, shapes in candidates:
+    for place, (effect, shapes) in enumerate(candidates):
+        if place % TOGETHER == 0:
+            yield TOGETHER * rows.shape[1]
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
         rest, weights = _fit([*regressors, *further], target)
-        yield rows.shape[1]
         if not math.isfinite(rest):
             continue
         gain = 0.5 * count / STRIDE * math.log(base_rest / rest)

@@ -2,7 +2,9 @@
 
 A test takes as long as several samples at 1 kHz, and predictions would wait for it. So it is done
 in pieces behind the samples that come before the next estimate. It reads nothing that may change
-meanwhile, and nobody sees its result before. What comes of it is the same whenever it is done.
+meanwhile, and nobody sees its result before. What comes of it is the same whenever it is done. Of a
+rotor, and of a speed that is measured, the next estimate may be a thousand samples away: these are
+tested at once.
 """
 
 from __future__ import annotations

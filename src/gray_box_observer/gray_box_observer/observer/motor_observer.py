@@ -103,6 +103,9 @@ class MotorObserver:
         self.context_nodes = form.context_nodes
         self.delay = form.delay
         self._fit = form.fit
+        # for a motor alone, and by a rule whose next estimate is never far
+        is_fitted = isinstance(form.context_nodes, RotorUpdate | MeasuredSpeedUpdate)
+        self._tests_in_pieces = self.motors == 1 and not is_fitted
         self._belief = ParameterBelief(form)
         self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
@@ -215,7 +218,7 @@ class MotorObserver:
         """Do tests that are due, or begin one whose result counts with the next estimate."""
         tests, self._tests = self._tests, []
         for motor, is_recent in tests:
-            if is_recent or self.motors > 1:  # it is short, or estimates change with every sample
+            if is_recent or not self._tests_in_pieces:
                 estimate = self._test(motor, is_out=True, is_recent=is_recent)
                 self._know(estimate, slice(motor, motor + 1))
                 continue
@@ -342,6 +345,8 @@ class MotorObserver:
         """Learn a predicted and scored sample; return the estimates that have changed."""
         if self._estimate_to_schedule is not None:
             self._ask_for_tests()
+        if self._tests:  # of samples that are learnt again nothing else is deferred
+            self._do_tests()
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
             self._forecast_ahead = None
@@ -351,7 +356,6 @@ class MotorObserver:
             if (
                 self._speed is not None
                 and not self._tests
-                and self._open_test is None
                 and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
             ):
                 self._tests.append((0, True))
@@ -608,6 +612,8 @@ class MotorObserver:
         later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
         if self.motors == 1 and later_result is not None:
             self._open_test = DeferredFitTest(later_result)
+            if self._is_frozen:  # no estimate will follow
+                self._end_test(is_out=False)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.form_choice.restore(
                 group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place

@@ -154,8 +154,21 @@ def watch_live(
     with TableDisplay(sys.stdout, most, live=not once) as display:
 
         def make_node(stop: Stop) -> WatchNode:
-            with answered_participant(observers, lambda: stop.is_requested):
-                return WatchNode(stop, display, observers, period_s, once=once, timeout_s=timeout_s)
+            started_s = time.monotonic()
+
+            def is_over() -> bool:
+                return stop.is_requested or (once and time.monotonic() - started_s > timeout_s)
+
+            with answered_participant(observers, is_over):
+                return WatchNode(
+                    stop,
+                    display,
+                    observers,
+                    period_s,
+                    once=once,
+                    timeout_s=timeout_s,
+                    started_s=started_s,
+                )
 
         return run_node(
             make_node,
