@@ -110,14 +110,14 @@ def test_a_test_in_pieces_tests_the_samples_with_which_it_began() -> None:
     pieces = test.pieces(subject, FEW)
     count = 0
     while True:
+        for _ in range(FEW):  # the memory moves, and takes the room of the oldest
+            append((FEW + count) % (2 * FEW - 1))
+            count += 1
         try:
             next(pieces)
         except StopIteration as end:
             assert _digest(end.value) == _digest(at_once)
             break
-        for _ in range(FEW):  # the memory moves, and takes the room of the oldest
-            append((FEW + count) % (2 * FEW - 1))
-            count += 1
     assert count > 5 * FEW
 
 
