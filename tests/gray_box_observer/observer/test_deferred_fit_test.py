@@ -11,6 +11,7 @@ import pytest
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE
 from gray_box_observer.fit_test.fit_result import FitResult
@@ -126,6 +127,22 @@ def has_open_test(observer: Observer) -> bool:
     return 'later' in observer_of(observer).state()[0]['fit']
 
 
+def until_open(observer: Observer, signals: tuple[np.ndarray, np.ndarray], after: int = 200) -> int:
+    """Feed a motor until a test has begun that does not count yet; return the samples."""
+    k = 0
+    while not (k > after and has_open_test(observer)):
+        feed(observer, signals, k)
+        k += 1
+    return k
+
+
+def sample_of(signals: tuple[np.ndarray, np.ndarray], k: int) -> Sample:
+    """Return a sample as pairing makes it."""
+    voltage_v = float(signals[0][k - 1])
+    torque_nm = float(signals[1][k])
+    return Sample.of_one_motor((k + 1) * INTERVAL_NS, 1e-3, voltage_v, torque_nm)
+
+
 @pytest.mark.slow
 def test_whoever_asks_or_saves_changes_nothing(
     configuration: Configuration,
@@ -172,13 +189,10 @@ def test_a_checkpoint_with_absurd_results_is_refused(
     configuration: Configuration, signals: tuple[np.ndarray, np.ndarray]
 ) -> None:
     observer = Observer(configuration)
-    k = 0
-    while not (k > 200 and has_open_test(observer)):
-        feed(observer, signals, k)
-        k += 1
+    until_open(observer, signals)
     plain, arrays = observer_of(observer).state()
     cast(Any, plain['fit']['later'])['wait'] = -1
-    with pytest.raises(Exception, match='wait'):
+    with pytest.raises(CheckpointError, match='wait'):
         Observer(configuration).restore({'motor': (plain, arrays)})
 
 
@@ -187,10 +201,7 @@ def test_at_the_end_of_a_recording_it_counts(
     configuration: Configuration, signals: tuple[np.ndarray, np.ndarray]
 ) -> None:
     observer = Observer(configuration)
-    k = 0
-    while not (k > OFFSET_FROM and has_open_test(observer)):
-        feed(observer, signals, k)
-        k += 1
+    until_open(observer, signals, OFFSET_FROM)
     before = digest(observer.estimates()['motor'])
     assert observer.finish() == ('motor',)
     assert digest(observer.estimates()['motor']) != before
@@ -204,10 +215,7 @@ def test_one_that_fails_stops_the_motor_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     observer = Observer(configuration)
-    k = 0
-    while not (k > 200 and has_open_test(observer)):
-        feed(observer, signals, k)
-        k += 1
+    k = until_open(observer, signals)
 
     def fail(_test: DeferredFitTest) -> None:
         raise ZeroDivisionError('a piece')
@@ -219,15 +227,6 @@ def test_one_that_fails_stops_the_motor_once(
         observer.torque('motor', stamp_ns, float(signals[1][k]))
         k += 1
     assert 'a piece' in observer.incidents['motor'].reason
-
-
-def until_open(observer: Observer, signals: tuple[np.ndarray, np.ndarray]) -> int:
-    """Feed a motor until a test has begun that does not count yet; return the samples."""
-    k = 0
-    while not (k > 200 and has_open_test(observer)):
-        feed(observer, signals, k)
-        k += 1
-    return k
 
 
 def test_its_pieces_are_done_behind_samples_and_none_is_left_for_the_next_estimate(
@@ -291,12 +290,7 @@ def test_samples_that_are_paired_anew_leave_nothing_of_it(
     observer = Observer(configuration)
     count = until_open(observer, signals)
     motor = observer_of(observer)
-    samples = [
-        Sample.of_one_motor(
-            (k + 1) * INTERVAL_NS, 1e-3, float(signals[0][k - 1]), float(signals[1][k])
-        )
-        for k in range(1, count)
-    ]
+    samples = [sample_of(signals, k) for k in range(1, count)]
     motors = list(configuration.motors.values())
     motor.relearn(context_nodes(configuration, motors, motor.white_box), samples)
     assert not has_open_test(observer)
@@ -313,11 +307,7 @@ def test_it_begins_with_its_own_sample_where_samples_are_learnt_again(
         motor = observer_of(observer)
         told = []
         for k in range(count, count + 1000):
-            motor.update_parameters(
-                Sample.of_one_motor(
-                    (k + 1) * INTERVAL_NS, 1e-3, float(signals[0][k - 1]), float(signals[1][k])
-                )
-            )
+            motor.update_parameters(sample_of(signals, k))
             if is_asked:
                 motor.retested()
             told.append(observer.fit('motor') if k % 100 == 0 or is_asked else None)
