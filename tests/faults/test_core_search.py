@@ -69,6 +69,10 @@ BROKEN: dict[str, tuple[Setup, list[Action]]] = {
         Setup(speed='in torque', predictor=False, changes=ROTORS[1:]),
         [Regular(1100), Gap(300), Regular(300)],
     ),
+    'a fit that ends between a forecast and the sample that it is of': (
+        Setup(speed='own topic', changes=(('speed.expression', 'diff(angle)'),)),
+        [Regular(130, spoilt='voltage'), Operation('flush'), Regular(1)],
+    ),
 }
 
 KINDS: dict[str, tuple[Setup, list[Action]]] = {

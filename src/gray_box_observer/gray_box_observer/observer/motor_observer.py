@@ -121,9 +121,10 @@ class MotorObserver:
         if self._forecasting.training.due_next:
             self.run_deferred()
         self._follow()
-        request = interval_s.tobytes() + voltage_v.tobytes()
+        theta = self._belief.theta  # a fit or test may have changed it since the last sample
+        request = interval_s.tobytes() + voltage_v.tobytes() + theta.tobytes()
         if self._forecast_ahead is None or self._forecast_ahead[0] != request:
-            prediction = self._forecasting.predict(interval_s, voltage_v, self._belief.theta)
+            prediction = self._forecasting.predict(interval_s, voltage_v, theta)
             self._forecast_ahead = request, prediction
         return self._forecast_ahead[1]
 
