@@ -20,11 +20,10 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
-from gray_box_observer.fit_test.fit_result import FitResult
-from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
 from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
+from gray_box_observer.observer.pending_tests import PendingTests
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.safe_io.saved_state import entry, flag, group
@@ -82,9 +81,6 @@ class MotorObserver:
 
     def __init__(self, form: MotorForm, form_choice: FormChoice) -> None:
         self.form_choice = form_choice
-        self._tests: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
-        self._open_test: DeferredFitTest | None = None
-        self._estimate_to_schedule: Estimate | None = None  # it has gone out; is its test due?
         self._retests: dict[int, bool] = {}
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
@@ -97,16 +93,12 @@ class MotorObserver:
 
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
-        self._tests = []
-        self._open_test = None
+        self._form = form
         self.white_box = form.white_box
         self.context_nodes = form.context_nodes
         self.delay = form.delay
-        self._fit = form.fit
-        # for a motor alone, and by a rule whose next estimate is never far
-        is_fitted = isinstance(form.context_nodes, RotorUpdate | MeasuredSpeedUpdate)
-        self._tests_in_pieces = self.motors == 1 and not is_fitted
         self._belief = ParameterBelief(form)
+        self._tests = PendingTests(form, self._belief, self._know, self._note_test)
         self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
@@ -170,14 +162,9 @@ class MotorObserver:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if (
-            self._deferred_update is not None
-            or self._tests
-            or self._estimate_to_schedule is not None
-        ):
+        if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
-        if self._open_test is not None:
-            self._open_test.begin_sample()
+        self._tests.begin_sample()
         prediction = (
             None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
@@ -200,55 +187,13 @@ class MotorObserver:
 
         Its prediction is judged and learnt, and a test of the fit gets on by a piece.
         """
-        if self._estimate_to_schedule is not None:
-            self._ask_for_tests()
-        if self._open_test is not None:
-            test, self._open_test = self._open_test, None  # one that fails is given up
-            test.advance()
-            self._open_test = test
-        if self._tests:
-            self._do_tests()
+        self._tests.run()
         update = self._deferred_update
         if update is None:
             return
         self._judge_prediction(update)
         if not (self.form_choice.is_idle or self._is_frozen):
             self._try_other_form(update.sample)
-
-    def _do_tests(self) -> None:
-        """Do tests that are due, or begin one whose result counts with the next estimate."""
-        tests, self._tests = self._tests, []
-        for motor, is_recent in tests:
-            if is_recent or not self._tests_in_pieces:
-                estimate = self._test(motor, is_out=True, is_recent=is_recent)
-                self._know(estimate, slice(motor, motor + 1))
-                continue
-            self._end_test(is_out=True)
-            work = self._belief.begin_test(motor, self.delay_of(motor))
-            if work is not None:
-                self._open_test = DeferredFitTest(work)
-
-    def _end_test(self, *, is_out: bool) -> bool:
-        """Let the result of the test that has begun count; tell whether it changes the belief.
-
-        Args:
-            is_out: whether the present estimate has gone out already.
-        """
-        if self._open_test is None:
-            return False
-        test, self._open_test = self._open_test, None
-        estimate, has_changed = self._belief.follow(0, test.result())
-        self._note_test(0, has_news=is_out and has_changed)
-        if is_out:
-            self._know(estimate)
-        return has_changed
-
-    def _later_result(self) -> FitResult | None:
-        """Return the result of the test that has begun; it counts with the next estimate."""
-        test, self._open_test = self._open_test, None  # one that fails is given up
-        result = None if test is None else test.result()
-        self._open_test = test
-        return result
 
     def _judge_prediction(self, update: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -269,7 +214,7 @@ class MotorObserver:
 
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        fit = self._fit.assessment(0)
+        fit = self._form.fit.assessment(0)
         self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
     def finish(self) -> bool:
@@ -279,7 +224,7 @@ class MotorObserver:
             Whether an estimate has changed.
         """
         self.run_deferred()
-        has_changed = self._end_test(is_out=True)
+        has_changed = self._tests.end(is_out=True)
         if has_changed:
             self.changed_motors = _FIRST
         if self._is_frozen:
@@ -287,7 +232,7 @@ class MotorObserver:
         has_changed |= self._finish_fits()
         if self.form_choice.is_open:
             nodes = self.context_nodes
-            fit = self._fit.assessment(0)
+            fit = self._form.fit.assessment(0)
             self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
             if self.context_nodes is not nodes:
                 has_changed = True
@@ -300,7 +245,7 @@ class MotorObserver:
         if not (isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish()):
             return False
         self.changed_motors = _FIRST
-        self._know(self._test(0, is_out=True))
+        self._know(self._tests.test(0, is_out=True))
         return True
 
     def _go_over(self, form: MotorForm | None) -> None:
@@ -344,22 +289,15 @@ class MotorObserver:
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
-        if self._estimate_to_schedule is not None:
-            self._ask_for_tests()
-        if self._tests:  # of samples that are learnt again nothing else is deferred
-            self._do_tests()
+        self._tests.complete_due()  # of samples that are learnt again nothing else is deferred
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
             self._forecast_ahead = None
             self._intervals_s = self._intervals_s[1], sample.interval_s
         if not has_changed:
             self.changed_motors = _NOBODY
-            if (
-                self._speed is not None
-                and not self._tests
-                and self._fit.schedule.is_stale(self.context_nodes.replay, 0)
-            ):
-                self._tests.append((0, True))
+            if self._speed is not None:
+                self._tests.follow_sample()
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -367,7 +305,9 @@ class MotorObserver:
         motors: Any = (
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
-        estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
+        estimate = self.context_nodes.estimate(motors)
+        self._tests.follow(estimate, self.changed_motors)
+        estimate = self._form.fit.judged(self.context_nodes, estimate, self.changed_motors)
         return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
@@ -383,30 +323,6 @@ class MotorObserver:
         self.run_deferred()
         return self._belief.present(motors)
 
-    def _limit_by_fit(self, estimate: Estimate) -> Estimate:
-        """Test the fit of motors with changed estimates; return these as far as believable.
-
-        Who waits for nothing is tested when the sample's results are out.
-        """
-        self._end_test(is_out=False)
-        schedule = self._fit.schedule
-        if self.motors == 1 and schedule.is_settled(estimate):
-            self._estimate_to_schedule = estimate
-        else:
-            for motor in schedule.due(self.context_nodes.replay, estimate, self.changed_motors):
-                if schedule.is_urgent(motor):
-                    self._test(motor, is_out=False)
-                else:
-                    self._tests.append((motor, False))
-        return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
-
-    def _ask_for_tests(self) -> None:
-        """Ask whether a test is due of the one motor whose newest estimate has gone out."""
-        estimate, self._estimate_to_schedule = self._estimate_to_schedule, None
-        assert estimate is not None
-        motors = self._fit.schedule.due(self.context_nodes.replay, estimate, _FIRST)
-        self._tests += [(motor, False) for motor in motors]
-
     def retested(self) -> dict[int, bool]:
         """Return whose fit was tested since the last call, and whether their belief has changed.
 
@@ -416,19 +332,7 @@ class MotorObserver:
         retests, self._retests = self._retests, {}
         return dict(sorted(retests.items()))
 
-    def _test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
-        """Test the fit of one motor; return its estimate as far as that lets it be believed.
-
-        Args:
-            motor: its place on the motor axis.
-            is_out: whether its present estimate has gone out already.
-            is_recent: whether its newest samples alone are tested.
-        """
-        estimate, has_changed = self._belief.test(motor, self.delay_of(motor), is_recent=is_recent)
-        self._note_test(motor, has_news=is_out and has_changed)
-        return estimate
-
-    def _note_test(self, motor: int, *, has_news: bool) -> None:
+    def _note_test(self, motor: int, has_news: bool) -> None:
         """Note that a motor was tested, for whoever publishes and for the choice of the form.
 
         Args:
@@ -447,13 +351,13 @@ class MotorObserver:
             estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level
         )
         if self._speed is not None:
-            self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
+            self._speed.believe(belief.theta[0], belief.covariance[0], self._form.fit.assessment(0))
         return public_estimate
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
         self.run_deferred()
-        self._end_test(is_out=True)
+        self._tests.end(is_out=True)
         self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
         if self._forecasting is not None:
@@ -485,19 +389,15 @@ class MotorObserver:
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""
         self.run_deferred()
-        return self._fit.assessment(motor)
+        return self._form.fit.assessment(motor)
 
     def configuration_of(self, motor: int) -> MotorConfiguration:
         """Return what is known of one motor beforehand, in the form that it has now."""
-        return self._fit.configuration(motor)
+        return self._form.fit.configuration(motor)
 
     def delay_of(self, motor: int) -> DelayEstimate:
         """What is known of the delay of one motor."""
-        return (
-            self.delay.estimate
-            if isinstance(self.delay, DelayWatch)
-            else self.delay.estimate_of(motor)
-        )
+        return self._form.delay_of(motor)
 
     def reconfigure(
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
@@ -525,7 +425,7 @@ class MotorObserver:
         if not samples:
             return
         self.run_deferred()
-        self._open_test = None  # it has tested samples that were paired by another delay
+        self._tests.give_up()
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -534,7 +434,7 @@ class MotorObserver:
             forecasting.training.refill(content)
             if forecasting.alarm is not None:  # it has learnt residuals of the delay before
                 forecasting.alarm.relearn()
-        self._fit.forget()
+        self._form.fit.forget()
         self._retests.update(dict.fromkeys(range(self.motors), True))
         self._know(self._believed())
         self._forecast_ahead = None
@@ -566,7 +466,7 @@ class MotorObserver:
             'context_nodes': plain,
             **({'mechanics': list(mechanics)} if mechanics else {}),
             'delay': delay,
-            'fit': self._fit.state(motor, place, self._later_result()),
+            'fit': self._form.fit.state(motor, place, self._tests.later_result()),
             'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
@@ -610,11 +510,10 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
-        later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
-        if self.motors == 1 and later_result is not None:
-            self._open_test = DeferredFitTest(later_result)
-            if self._is_frozen:  # no estimate will follow
-                self._end_test(is_out=False)
+        later_result = self._form.fit.restore(dict(group(plain, 'fit')), motor, place)
+        self._tests.restore(later_result)
+        if self._is_frozen:  # no estimate will follow
+            self._tests.end(is_out=False)
         if 'speed' in plain:  # not in files of releases that knew no choice
             self.form_choice.restore(
                 group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, place
