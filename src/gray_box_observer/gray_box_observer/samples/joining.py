@@ -5,11 +5,10 @@ an operation), and a group in arrays. A motor of the group whose value cannot be
 that sample; its next interval begins where its last sample was, as if it had been alone.
 
 Here is the one door of samples: what comes through holds finite numbers of every motor that is
-present (speed may be
-NaN: not measured), whatever was missing before. Values are judged as they come in, and ``join``
-asks once more whether
-the voltage is known over the whole interval: where it is not, the history begins anew; where it is
-not known at the torque either, the torque is refused as ``no_voltage``.
+present, whatever was missing before. A speed alone may be NaN: it is not measured. Values are
+judged as they come in, and ``join`` asks once more whether the voltage is known over the whole
+interval: where it is not, the history begins anew; where it is not known at the torque either, the
+torque is refused as ``no_voltage``.
 """
 
 from __future__ import annotations
