@@ -9,16 +9,14 @@ import pytest
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
-from gray_box_observer.fit_test.effects import EFFECTS, LATE
+from gray_box_observer.fit_test.effects import EFFECTS
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.policy import (
     FEW_PERIODS,
-    LATE_STD,
     MATERIAL,
     NOTICEABLE,
     SAFETY,
     SCORE_DOUBT,
-    SCORE_LATE,
     SCORE_MEASURED,
     SCORE_UNMEASURED,
     STANDING,
@@ -128,17 +126,6 @@ def scores_of(score: float) -> tuple[EffectScore, ...]:
     """An effect that would move the parameters a lot."""
     shift = np.full(2, 5.0 * MATERIAL)
     return (EffectScore(EFFECTS['current_offset'], score, shift, np.ones(1)),)
-
-
-@pytest.mark.parametrize('effect', [*LATE, 'sag'])
-def test_what_comes_late_leaves_the_inductance_open_by_its_size(effect: str) -> None:
-    score = EffectScore(EFFECTS[effect], 1.1 * SCORE_LATE, np.full(2, 0.02), np.ones(1))
-    weak = replace(score, score=0.9 * SCORE_LATE)
-    assert judgement_of(scores=(weak,)).verdict is FitVerdict.OK
-    limit = judgement_of(scores=(weak, score))
-    is_late = effect in LATE
-    assert limit.verdict is (FitVerdict.WARNING if is_late else FitVerdict.OK)
-    np.testing.assert_array_equal(limit.spread, np.diag([is_late * LATE_STD**2, 0.0]))
 
 
 @pytest.mark.parametrize('is_doubted', [False, True])

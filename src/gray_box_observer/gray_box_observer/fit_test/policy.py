@@ -15,7 +15,6 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
-from gray_box_observer.fit_test.effects import LATE
 from gray_box_observer.fit_test.projection import bandwidth
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
 from gray_box_observer.fit_test.stamp_errors import StampError
@@ -108,14 +107,6 @@ deviations hold what three of a known normal distribution do, within 3 % from 64
 OPEN = 0.04
 """Standard deviation of the inductance, relative to it, by what the data leave of such an error.
 From here on it counts though they tell none."""
-
-SCORE_LATE = 16.0
-"""Score of a delay or a lag of the current from which it leaves the inductance open. A lag and L/R
-look alike: fitted without the lag, L is larger by nearly R times it, and one step from there shows
-little of that. Rotors that fit reach 13, lags of 0.4 L/R and more begin at 17."""
-
-LATE_STD = 1.0
-"""Standard deviation of the inductance beside a lag, relative to it."""
 
 INDUCTANCE = 0
 """Its place among the parameters: the first."""
@@ -231,20 +222,15 @@ def judge(
         if score.score > limit and np.max(np.abs(score.shift)) > NOTICEABLE
     ]
     material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
-    is_late = any(
-        score.effect.name in LATE and score.score > SCORE_LATE for score in analysis.scores
-    )
     best = analysis.scores[0].score if analysis.scores else 0.0
     doubtful = best > SCORE_DOUBT and (is_coloured or analysis.ratio > RATIO_DOUBT)
     doubtful |= is_drifting and is_coloured
     if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
         verdict = FitVerdict.MISFIT
-    elif strong or is_late or _is_large(analysis) or analysis.whiteness > WHITENESS_WARNING:
+    elif strong or _is_large(analysis) or analysis.whiteness > WHITENESS_WARNING:
         verdict = FitVerdict.WARNING
     else:
         verdict = FitVerdict.OK
-    if is_late:
-        spread[INDUCTANCE, INDUCTANCE] += LATE_STD**2
     for score in strong[:1]:
         shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
