@@ -379,7 +379,11 @@ class DelayWatch:
         self._dropped_count = 0
         return applied_s
 
-    def state(self) -> dict[str, Any]:
+    def estimate_of(self, motor: int) -> DelayEstimate:
+        """Return what is known of a motor; there is one, at place 0."""
+        return self.estimate
+
+    def state(self, motor: int = 0) -> dict[str, Any]:
         """What was found, as plain values for a checkpoint; searches under way begin anew."""
         estimate = self.estimate
         return {
@@ -391,7 +395,7 @@ class DelayWatch:
             'learnt': self._dropped_count + self._progress.count,
         }
 
-    def restore(self, plain: dict[str, Any]) -> None:
+    def restore(self, plain: dict[str, Any], motor: int = 0) -> None:
         """Restore what :meth:`state` gave; a delay that is declared differently now stays so.
 
         Raises:

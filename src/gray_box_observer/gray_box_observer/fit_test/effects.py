@@ -267,7 +267,8 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
 
 ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
     LATE,
-    'declare {motor}.delay in s: voltage acts later than it is stamped, or the current sensor lags',
+    'declare {motor}.delay in s where the voltage acts later than it is stamped; where the current '
+    'sensor lags, take its filter off: a delay does not make up for that',
 )
 """The same for a rotor whose speed nobody measures: its delay cannot be estimated."""
 

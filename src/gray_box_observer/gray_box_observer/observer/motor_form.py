@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes import (
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import learn_at_once
-from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
+from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
@@ -119,12 +119,6 @@ class MotorForm:
     def can_go_on(self) -> bool:
         """Whether :meth:`learn_remembered` goes on from what it has found in fewer samples."""
         return isinstance(self.context_nodes, RotorUpdate)
-
-    def delay_of(self, motor: int) -> DelayEstimate:
-        """Return what is known of the delay of one motor, by its place on the motor axis."""
-        if isinstance(self.delay, DelayWatch):
-            return self.delay.estimate
-        return self.delay.estimate_of(motor)
 
     def learn_remembered(
         self, content: Array, stamp_ns: int, *, asks_speed: bool = False

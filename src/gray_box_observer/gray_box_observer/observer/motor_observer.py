@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
-from gray_box_observer.delay import DelayEstimate, DelayWatch
+from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.form_choice import FormChoice
@@ -44,7 +44,7 @@ class DeferredUpdate:
         sample: the sample.
         prediction: what had been predicted of it; None without predictor.
         theta, covariance, is_identified: what was believed before it was learnt.
-        followed: whether the predictor has gone on from it.
+        is_followed: whether the predictor has gone on from it.
         speed: of a motor with a rotor, at the sample; None where none may be believed.
         followed_speed: the same, believed or not: where a prediction may begin.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
@@ -93,12 +93,14 @@ class MotorObserver:
 
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
-        self._form = form
         self.white_box = form.white_box
         self.context_nodes = form.context_nodes
         self.delay = form.delay
+        self._fit = form.fit
         self._belief = ParameterBelief(form)
-        self._tests = PendingTests(form, self._belief, self._know, self._note_test)
+        self._tests = PendingTests(
+            self._belief, form.fit.schedule, form.delay, self._know, self._note_test
+        )
         self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
@@ -214,7 +216,7 @@ class MotorObserver:
 
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        fit = self._form.fit.assessment(0)
+        fit = self._fit.assessment(0)
         self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
 
     def finish(self) -> bool:
@@ -232,7 +234,7 @@ class MotorObserver:
         has_changed |= self._finish_fits()
         if self.form_choice.is_open:
             nodes = self.context_nodes
-            fit = self._form.fit.assessment(0)
+            fit = self._fit.assessment(0)
             self._go_over(self.form_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
             if self.context_nodes is not nodes:
                 has_changed = True
@@ -297,7 +299,7 @@ class MotorObserver:
         if not has_changed:
             self.changed_motors = _NOBODY
             if self._speed is not None:
-                self._tests.follow_sample()
+                self._tests.schedule_newest()
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -306,8 +308,8 @@ class MotorObserver:
             slice(None) if self.changed_motors.size == self.motors else self.changed_motors
         )
         estimate = self.context_nodes.estimate(motors)
-        self._tests.follow(estimate, self.changed_motors)
-        estimate = self._form.fit.judged(self.context_nodes, estimate, self.changed_motors)
+        self._tests.begin_estimate(estimate, self.changed_motors)
+        estimate = self._fit.judged(self.context_nodes, estimate, self.changed_motors)
         return self._know(estimate, motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
@@ -351,7 +353,7 @@ class MotorObserver:
             estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level
         )
         if self._speed is not None:
-            self._speed.believe(belief.theta[0], belief.covariance[0], self._form.fit.assessment(0))
+            self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
         return public_estimate
 
     def freeze(self, is_frozen: bool) -> None:
@@ -389,15 +391,15 @@ class MotorObserver:
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""
         self.run_deferred()
-        return self._form.fit.assessment(motor)
+        return self._fit.assessment(motor)
 
     def configuration_of(self, motor: int) -> MotorConfiguration:
         """Return what is known of one motor beforehand, in the form that it has now."""
-        return self._form.fit.configuration(motor)
+        return self._fit.configuration(motor)
 
     def delay_of(self, motor: int) -> DelayEstimate:
         """What is known of the delay of one motor."""
-        return self._form.delay_of(motor)
+        return self.delay.estimate_of(motor)
 
     def reconfigure(
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
@@ -434,7 +436,7 @@ class MotorObserver:
             forecasting.training.refill(content)
             if forecasting.alarm is not None:  # it has learnt residuals of the delay before
                 forecasting.alarm.relearn()
-        self._form.fit.forget()
+        self._fit.forget()
         self._retests.update(dict.fromkeys(range(self.motors), True))
         self._know(self._believed())
         self._forecast_ahead = None
@@ -455,9 +457,6 @@ class MotorObserver:
         self.run_deferred()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self._forecasting is None else self._forecasting.state(motor)
-        delay = (
-            self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
-        )
         place = int(self.context_nodes.replay.received[motor])
         speed, trial = self.form_choice.state(place)
         mechanics = self._belief.mechanics
@@ -465,8 +464,8 @@ class MotorObserver:
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
             **({'mechanics': list(mechanics)} if mechanics else {}),
-            'delay': delay,
-            'fit': self._form.fit.state(motor, place, self._tests.later_result()),
+            'delay': self.delay.state(motor),
+            'fit': self._fit.state(motor, place, self._tests.later_result()),
             'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
@@ -510,7 +509,7 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
-        later_result = self._form.fit.restore(dict(group(plain, 'fit')), motor, place)
+        later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
         self._tests.restore(later_result)
         if self._is_frozen:  # no estimate will follow
             self._tests.end(is_out=False)
@@ -526,10 +525,8 @@ class MotorObserver:
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
             self.alarm.restore(alarm, motor)
-        if isinstance(self.delay, DelayWatch):
-            self.delay.restore(dict(group(plain, 'delay')))
-        else:
-            self.delay.restore(dict(group(plain, 'delay')), motor)
+        self.delay.restore(dict(group(plain, 'delay')), motor)
+        self._forecast_ahead = None
 
 
 _NOBODY = np.arange(0)

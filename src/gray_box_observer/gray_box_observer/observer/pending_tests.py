@@ -1,8 +1,8 @@
-"""Tests of the fit that are due or have begun: what is done at once, and what behind a sample.
+"""Tests of the fit that are due or have begun: what an estimate waits for, and what comes later.
 
 An estimate that nobody believes yet, or that has moved, waits for its test. Any other goes out
-first: whether its test is due is asked afterwards (:meth:`PendingTests.run`), and that of a motor
-alone goes on in pieces (`deferred_fit_test.py`).
+first, and its motor is tested behind the sample: at once, or, where it comes alone and its next
+estimate is never far, in pieces (`deferred_fit_test.py`).
 """
 
 from __future__ import annotations
@@ -14,47 +14,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate, RotorUpdate
+from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.fit_schedule import FitSchedule
 from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
-from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 
 
 class PendingTests:
-    """Tests the fit of motors that are observed by one form, when that is due.
+    """Tests the fit of motors that are observed by one form, each when that is due.
 
     Args:
-        form: what they are observed by.
         belief: in their parameters; a test changes it.
-        keep: keeps what is believed of one motor whose estimate had gone out, by the index of that
-            motor.
-        note: is told who was tested, and whether its belief is another than has gone out.
+        schedule: says whose test is due.
+        delay: what is known of their delays.
+        keep: keeps what is believed of some motors after a test, by their index on the motor axis.
+            Their estimates had gone out before.
+        note: is told of a motor that was tested, and whether its belief is another than has gone
+            out.
     """
 
     def __init__(
         self,
-        form: MotorForm,
         belief: ParameterBelief,
+        schedule: FitSchedule,
+        delay: DelayWatch | DelayRound,
         keep: Callable[[Estimate, Any], object],
         note: Callable[[int, bool], None],
     ) -> None:
-        self._form = form
         self._belief = belief
+        self._schedule = schedule
+        self._delay = delay
         self._keep = keep
         self._note = note
-        nodes = form.context_nodes
+        nodes = belief.context_nodes
         self._is_alone = nodes.theta.shape[0] == 1
-        # by a rule whose next estimate is never far
         is_fitted = isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate)
-        self._in_pieces = self._is_alone and not is_fitted
+        self._is_in_pieces = self._is_alone and not is_fitted
         self._tests_due: list[tuple[int, bool]] = []  # motor, and whether its newest samples alone
         self._open_test: DeferredFitTest | None = None
-        self._public_estimate: Estimate | None = None  # of a motor alone: is its test due?
+        self._unscheduled_estimate: Estimate | None = None  # of a motor alone; it has gone out
 
     @property
     def is_waiting(self) -> bool:
         """Whether something is left to be asked or tested before the next sample."""
-        return bool(self._tests_due) or self._public_estimate is not None
+        return bool(self._tests_due) or self._unscheduled_estimate is not None
 
     def begin_sample(self) -> None:
         """Note that a sample has come, behind which there is time for a piece of a test."""
@@ -63,65 +67,63 @@ class PendingTests:
 
     def run(self) -> None:
         """Do what the last sample has left: a piece of the test that has begun, and what is due."""
-        self._ask()
+        if self._unscheduled_estimate is not None:
+            self._ask()
         if self._open_test is not None:
             test, self._open_test = self._open_test, None  # one that fails is given up
             test.advance()
             self._open_test = test
-        self._do_due()
+        if self._tests_due:
+            self._do_due()
 
     def complete_due(self) -> None:
         """Do what is due, and no piece of the test that has begun."""
-        self._ask()
-        self._do_due()
+        if self._unscheduled_estimate is not None:
+            self._ask()
+        if self._tests_due:
+            self._do_due()
 
     def _ask(self) -> None:
         """Ask whether a test is due of the one motor whose newest estimate has gone out."""
-        estimate = self._public_estimate
-        if estimate is None:
-            return
-        self._public_estimate = None
-        replay = self._belief.context_nodes.replay
-        motors = self._form.fit.schedule.due(replay, estimate, _FIRST)
+        estimate, self._unscheduled_estimate = self._unscheduled_estimate, None
+        assert estimate is not None
+        motors = self._schedule.due(self._belief.context_nodes.replay, estimate, _FIRST)
         self._tests_due += [(motor, False) for motor in motors]
 
     def _do_due(self) -> None:
         """Do tests that are due, or begin one whose result counts with the next estimate."""
-        if not self._tests_due:
-            return
         tests, self._tests_due = self._tests_due, []
         for motor, is_recent in tests:
-            if is_recent or not self._in_pieces:
+            if is_recent or not self._is_in_pieces:
                 estimate = self.test(motor, is_out=True, is_recent=is_recent)
                 self._keep(estimate, slice(motor, motor + 1))
                 continue
             self.end(is_out=True)
-            work = self._belief.begin_test(motor, self._form.delay_of(motor))
+            work = self._belief.begin_test(motor, self._delay.estimate_of(motor))
             if work is not None:
                 self._open_test = DeferredFitTest(work)
 
-    def follow(self, estimate: Estimate, motors: NDArray[np.intp]) -> None:
-        """Test motors whose estimates have changed, where these wait for it.
+    def begin_estimate(self, estimate: Estimate, motors: NDArray[np.intp]) -> None:
+        """Test what a new estimate waits for; what it does not wait for is due behind the sample.
 
         Args:
-            estimate: of these, as their rule gives it.
+            estimate: of the motors that have changed, as their rule gives it.
             motors: their places on the motor axis.
         """
         self.end(is_out=False)
-        schedule = self._form.fit.schedule
-        if self._is_alone and schedule.is_settled(estimate):
-            self._public_estimate = estimate
+        if self._is_alone and self._schedule.is_settled(estimate):
+            self._unscheduled_estimate = estimate
             return
-        for motor in schedule.due(self._belief.context_nodes.replay, estimate, motors):
-            if schedule.is_urgent(motor):
+        for motor in self._schedule.due(self._belief.context_nodes.replay, estimate, motors):
+            if self._schedule.is_urgent(motor):
                 self.test(motor, is_out=False)
             else:
                 self._tests_due.append((motor, False))
 
-    def follow_sample(self) -> None:
-        """Note of a motor with a rotor whether its newest samples alone are to be tested."""
+    def schedule_newest(self) -> None:
+        """Ask of a motor with a rotor whether its newest samples alone are to be tested."""
         replay = self._belief.context_nodes.replay
-        if not self._tests_due and self._form.fit.schedule.is_stale(replay, 0):
+        if not self._tests_due and self._schedule.is_stale(replay, 0):
             self._tests_due.append((0, True))
 
     def test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
@@ -132,7 +134,7 @@ class PendingTests:
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
         """
-        delay = self._form.delay_of(motor)
+        delay = self._delay.estimate_of(motor)
         estimate, has_changed = self._belief.test(motor, delay, is_recent=is_recent)
         self._note(motor, is_out and has_changed)
         return estimate
@@ -165,8 +167,10 @@ class PendingTests:
             self._open_test = DeferredFitTest(later_result)
 
     def give_up(self) -> None:
-        """Forget the test that has begun: its samples were paired by another delay."""
+        """Forget all of it: the samples were paired by another delay."""
+        self._tests_due = []
         self._open_test = None
+        self._unscheduled_estimate = None
 
 
 _FIRST = np.arange(1)
