@@ -30,10 +30,11 @@ from gray_box_observer.observer.builder import (
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
 from gray_box_observer.observer.mixed_signals import COMPARED, MixUp, MixUpSearch
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
+from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.observer.saved_motors import restored_observer
 from gray_box_observer.observer.torque_forecast import (
     Forecast,
     precompute,
@@ -45,9 +46,7 @@ from gray_box_observer.samples.counts import PairingCounts
 from gray_box_observer.samples.stopped import StoppedPairing
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import torch_device
-from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
-from gray_box_observer.white_box.motor import STORAGES
 
 if TYPE_CHECKING:  # loaded where something is predicted
     from gray_box_observer.predictor import Skill
@@ -442,7 +441,9 @@ class Observer:
             groups = [
                 group for group in self.every_group if any(name in states for name in group.names)
             ]
-            replacements.extend((group, self._make_restored(group, states)) for group in groups)
+            replacements.extend(
+                (group, restored_observer(group, states, self._make)) for group in groups
+            )
         except BaseException:
             for _, observer in replacements:
                 observer.close()
@@ -460,38 +461,6 @@ class Observer:
             self._adopt(group, observer)
             for name in group.names:
                 self.incidents.pop(name, None)
-
-    def _make_restored(
-        self, group: Group, saved_states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
-    ) -> MotorObserver:
-        """Make the observer of a group from what was saved; what was not saved stays as it is."""
-        states = dict(saved_states)
-        for motor, name in enumerate(group.names):
-            if name not in states and group.observer is not None:
-                states[name] = group.observer.state(motor)
-        measured_flags = {
-            bool(states[name][0]['white_box']['speed_measured'])
-            for name in group.names
-            if name in states
-        }
-        alone = states.get(group.names[0]) if len(group.names) == 1 else None
-        kind = None if alone is None else _saved_kind(alone[0])
-        observer = self._make(group, any(measured_flags), kind)
-        try:
-            for motor, name in enumerate(group.names):
-                if name not in states:
-                    continue
-                plain, arrays = states[name]
-                if observer.white_box_of(motor).to_dict() != plain['white_box']:
-                    raise ConfigurationError(
-                        f'motor {name}: the checkpoint was learnt with other known constants or '
-                        'terms'
-                    )
-                observer.restore(plain, arrays, motor)
-        except BaseException:
-            observer.close()
-            raise
-        return observer
 
     def close(self) -> None:
         """Stop whatever trains in the background."""
@@ -606,16 +575,3 @@ def _finish(observer: MotorObserver) -> bool:
     if has_changed:
         observer.estimate()
     return has_changed
-
-
-def _saved_kind(plain: dict[str, Any]) -> FormKind:
-    """Return the form of a saved motor."""
-    nodes = plain['white_box'].get('context_nodes')
-    choice = plain.get('speed', {})
-    effects = choice.get('effects', []) if isinstance(choice, dict) else []
-    if isinstance(nodes, list) and STORAGES[State.SPEED] in nodes:
-        source = ROTOR
-    else:
-        source = MEASURED if plain['white_box']['speed_measured'] else THESIS
-    is_list = isinstance(effects, list) and all(isinstance(node, str) for node in effects)
-    return FormKind(source, tuple(effects) if is_list else ())
