@@ -22,6 +22,7 @@ from common.trust.kinds import (
     FREE,
     GEAR,
     LAG_OR_DELAY,
+    NO_SUSPECT,
     QUANTISATION,
     THESIS_LIKE,
     VOLTAGE_GAIN,
@@ -114,6 +115,14 @@ def _sensors() -> Iterator[Scenario]:
     yield case(
         group, '2 samples, no rotor', wrong | lag, excitation=both, sensor=(effects.low_pass(2.0),)
     )
+    group = 'current lags, speed not measured'
+    free = FREE | {
+        'duration_s': 10.0,
+        'suspects': NO_SUSPECT,
+        'nodes': ('inductance', 'resistance'),
+    }
+    for samples in (0.3, 0.5, 0.7, 1.0):
+        yield case(group, f'{samples:g} samples', free, sensor=(effects.low_pass(samples),))
     group = 'current averaged'
     yield case(group, 'over 1 sample', gear | mean, sensor=(effects.averaging(1.0),))
     yield case(group, 'over 8 samples', gear | mean, sensor=(effects.averaging(8.0),))
