@@ -158,7 +158,7 @@ make_venv() {
 }
 
 install_requirements() {
-    say 'installing pinned packages by their hashes (the first time downloads some hundred megabytes and takes minutes)'
+    say 'installing pinned packages by their hashes (the first time downloads some hundred megabytes, with CUDA some gigabytes, and takes minutes)'
     # Into .venv, so that it survives an interrupted run and can be looked at.
     locked_requirements | as_installed >"$venv/locked.txt"
     # First what builds the few packages that are sources, for pip would fetch a builder of its own without a hash.

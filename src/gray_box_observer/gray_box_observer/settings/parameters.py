@@ -388,8 +388,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'stamps_exact',
         False,
-        'Voltage acts at the very instant of its stamp: L is believed though L/R is shorter than '
-        'a sample interval.',
+        'Voltage acts at the very instant of its stamp. Else the deviation of L contains 5 % of a '
+        'sample interval in the long run, and L/R below an interval is not believed.',
     ),
     ParameterSpec(
         'delay',
