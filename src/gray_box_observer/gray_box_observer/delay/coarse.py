@@ -90,15 +90,18 @@ def profile(
     current = credible(white_box.state(signals.torque_nm))
     state = np.interp(grid, signals.time_s, current)
     speed = white_box.speed(state, np.interp(grid, signals.time_s, signals.speed_rad_s))
+    yield
     restarts = np.concatenate([[0], np.cumsum(restart)])
     before = restarts[np.searchsorted(signals.time_s, grid, side='right') - 1]
     after = restarts[
         np.minimum(np.searchsorted(signals.time_s, grid, side='left'), restarts.size - 1)
     ]
     whole = (after[WINDOW:] == before[:-WINDOW]).astype(float)
+    yield
     change = (state[WINDOW:] - state[:-WINDOW]) * whole
     known_drop = -_windowed(white_box.drive(np.zeros_like(state), state, speed), interval_s) * whole
     basis = [_windowed(phi, interval_s) * whole for phi in white_box.basis(state, speed)]
+    yield
     first, last = grid[0] - high * interval_s, grid[-1] - low * interval_s
     wide = first + interval_s * np.arange(round((last - first) / interval_s) + 1)
     integral = signals.voltage_integral(wide)
