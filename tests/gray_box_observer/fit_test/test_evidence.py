@@ -227,7 +227,7 @@ def _motor_under_test(begin: int, delay_s: float) -> MotorUnderTest:
     numbers = (9000, 8000, 64, 1.0, 0, 0.1)
     before = FitResult(assessment, judgement, np.ones(2), *numbers, True, known, present_since=2048)
     estimate: Any = None
-    return MotorUnderTest.snapshot(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
+    return MotorUnderTest.view(nodes, estimate, 0, DelayEstimate(delay_s, False), before)
 
 
 def test_evidence_lasts_until_the_motor_or_its_delay_is_another() -> None:

@@ -56,7 +56,7 @@ def test_a_motor_that_never_fitted_is_tested_by_all_its_samples_whatever_it_took
     replay.forget(SINCE_CHANGE)
     answers = {'is_drifting': lambda _: False, 'present_since': lambda _: 0}
     nodes = cast(Any, SimpleNamespace(replay=replay, **answers))
-    motor = MotorUnderTest.snapshot(nodes, cast(Any, None), 0, DelayEstimate(0.0, False), before)
+    motor = MotorUnderTest.view(nodes, cast(Any, None), 0, DelayEstimate(0.0, False), before)
     assert motor.count(WINDOW) == count
     assert motor.newest(motor.count(WINDOW)).shape[2] == count
 
@@ -79,7 +79,7 @@ def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_
         replay.append(Sample.of_one_motor(k, INTERVAL_S, float(voltage_v[k]), torque_nm))
     answers = {'is_drifting': lambda _: False, 'present_since': lambda _: 0}
     nodes = cast(Any, SimpleNamespace(replay=replay, **answers))
-    later = MotorUnderTest.snapshot(nodes, motor.estimate, 0, DelayEstimate(0.0, False), rich)
+    later = MotorUnderTest.view(nodes, motor.estimate, 0, DelayEstimate(0.0, False), rich)
     tested = test.test(later, FEW)
     assert tested.assessment is rich.assessment
     assert (tested.place, tested.wait) == (2 * FEW - 1, 2 * rich.wait)
@@ -104,7 +104,8 @@ def test_a_test_in_pieces_tests_the_samples_with_which_it_began() -> None:
         append(k)
     answers = {'is_drifting': lambda _: False, 'present_since': lambda _: 0}
     nodes = cast(Any, SimpleNamespace(replay=replay, **answers))
-    subject = MotorUnderTest.snapshot(nodes, motor.estimate, 0, DelayEstimate(0.0, False), None)
+    delay = DelayEstimate(0.0, False)
+    subject = MotorUnderTest.view(nodes, motor.estimate, 0, delay, None).snapshot()
     at_once = test.test(subject, FEW)
     assert at_once.place == FEW
     pieces = test.pieces(subject, FEW)

@@ -96,7 +96,7 @@ class FitMonitor:
         if not test.can_tell(subject, count):
             self.schedule.put_off(motor, subject.place + SHORTEST_WAIT)
             return None
-        return test.pieces(subject, count)
+        return test.pieces(subject.snapshot(), count)
 
     def test_newest(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -110,7 +110,7 @@ class FitMonitor:
         count = subject.count(RECENT)
         if count < test.fewest or not test.can_tell(subject, count):
             return
-        result = test.test_change(subject, count)
+        result = test.test_change(subject.snapshot(), count)
         if result is not None:
             self.follow(motor, result)
 
@@ -118,7 +118,7 @@ class FitMonitor:
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
     ) -> MotorUnderTest:
         """Note that a motor is tested; return it as it is now."""
-        subject = MotorUnderTest.snapshot(nodes, estimate, motor, delay, self._results[motor])
+        subject = MotorUnderTest.view(nodes, estimate, motor, delay, self._results[motor])
         self.schedule.begin_test(motor, subject.place)
         return subject
 

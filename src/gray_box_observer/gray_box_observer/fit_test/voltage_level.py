@@ -23,8 +23,12 @@ NOISE_RANGE = 10.0
 
 def is_held(voltage_v: Array) -> bool:
     """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
-    largest_v = float(np.max(np.abs(voltage_v)))
-    range_v = float(np.ptp(voltage_v))
+    lowest_v = float(voltage_v.min())
+    highest_v = float(voltage_v.max())
+    range_v = highest_v - lowest_v
+    largest_v = max(abs(lowest_v), abs(highest_v))
+    if range_v == 0.0:  # the usual case, without looking for noise
+        return True
     if range_v > HELD_NOISY * largest_v:
         return False
     noise_v = MAD_TO_STD * float(median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)

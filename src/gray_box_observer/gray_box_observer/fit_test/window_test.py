@@ -88,6 +88,8 @@ that of a load: 0.85 and more of loads, up to 0.79 of all else."""
 class MotorUnderTest:
     """A motor, as it is when its test begins: more samples may come before the test ends.
 
+    Whether there is a test is asked of a view of its samples; :meth:`snapshot` keeps them.
+
     Attributes:
         estimate: of this motor alone, as the rule gives it.
         delay: what is known of its delay.
@@ -113,7 +115,7 @@ class MotorUnderTest:
     remembered_count: int
 
     @classmethod
-    def snapshot(
+    def view(
         cls,
         nodes: ContextUpdate,
         estimate: Estimate,
@@ -121,7 +123,7 @@ class MotorUnderTest:
         delay: DelayEstimate,
         before: FitResult | None,
     ) -> MotorUnderTest:
-        """Return a motor as it is now.
+        """Return a motor as it is until the next sample comes.
 
         Args:
             nodes: the rule that has learnt it, perhaps with others.
@@ -134,7 +136,6 @@ class MotorUnderTest:
         replay = nodes.replay
         # also after a restart: a checkpoint holds no more
         stored_count = min(replay.stored(motor), replay.capacity)
-        rows = replay.newest(min(stored_count, WINDOW), one).transpose(2, 0, 1)
         return cls(
             estimate,
             delay,
@@ -143,10 +144,15 @@ class MotorUnderTest:
             replay.begin_of(motor),
             nodes.present_since(motor),
             nodes.is_drifting(motor),
-            rows.copy().transpose(1, 2, 0),
+            replay.newest(min(stored_count, WINDOW), one),
             stored_count,
             int(replay.remembered(one)[0]),
         )
+
+    def snapshot(self) -> MotorUnderTest:
+        """Return it with samples of its own, which no other overwrites."""
+        rows = self.content.transpose(2, 0, 1)
+        return replace(self, content=rows.copy().transpose(1, 2, 0))
 
     def count(self, most: int) -> int:
         """Return how many of its newest samples count, up to a number.
