@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
-from gray_box_observer.observer.saved_motors import restored_observer
+from gray_box_observer.observer.saved_motors import SavedMotor, restored_observer
 from gray_box_observer.observer.torque_forecast import (
     Forecast,
     precompute,
@@ -420,7 +420,7 @@ class Observer:
 
     def restore(
         self,
-        states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
+        states: Mapping[str, SavedMotor],
         together: Sequence[Sequence[str]] = (),
     ) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
