@@ -20,8 +20,6 @@ DEMO_ARGS ?=
 # make test
 ARGS ?=
 WORKERS ?= 4
-# As the executables do: threads of linear algebra would wait for each other.
-ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # make bench
 NAME ?=
 QUICK ?=
@@ -43,10 +41,10 @@ demo: setup  ## identify a simulated motor live (DURATION= MOTOR=thesis|geared E
 # More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
 # Few tests at a time, or one process is left alone at the end with a hundred tests of nodes.
 test: setup  ## run every test (ARGS='-k pairing' WORKERS=4)
-	$(ONE_THREAD) $(RUN) python -m pytest -n $(WORKERS) --dist load --maxschedchunk 16 $(ARGS)
+	$(RUN) python -m pytest -n $(WORKERS) --dist load --maxschedchunk 16 $(ARGS)
 
 test-fast: setup  ## tests that start no node and no process and take no time (ARGS='-k pairing')
-	$(ONE_THREAD) $(RUN) python -m pytest -n 2 --dist load -m 'not live and not system and not slow' $(ARGS)
+	$(RUN) python -m pytest -n 2 --dist load -m 'not live and not system and not slow' $(ARGS)
 
 lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 	$(RUN) python -m ruff check $(wildcard $(PYTHON_SOURCES))

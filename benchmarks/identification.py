@@ -14,7 +14,6 @@ import argparse
 import importlib.util
 import json
 import multiprocessing
-import os
 import sys
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -80,9 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    os.environ.update(
-        OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1'
-    )  # read by the workers: one thread each
     with ProcessPoolExecutor(WORKERS, multiprocessing.get_context('spawn')) as pool:
         return _tune(pool) if options.tune else _run(pool, _plan(options), options)
 

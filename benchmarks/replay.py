@@ -16,8 +16,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
-
 from common.figures import Figure, figure_table, last_line, table
 from common.simulated_bags import SAMPLE_RATE_HZ, write_bag
 
@@ -35,9 +33,6 @@ with open(sys.argv[1], 'rb') as stream:
 """
 IDENTIFY = ['-m', 'gray_box_observer.identify']
 ENVIRONMENT = {
-    'OMP_NUM_THREADS': '1',
-    'OPENBLAS_NUM_THREADS': '1',
-    'MKL_NUM_THREADS': '1',
     # mcap was compiled when it was installed, this package is at its first run
     'PYTHONDONTWRITEBYTECODE': '',
 }

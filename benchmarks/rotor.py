@@ -11,13 +11,10 @@ repository, or ``--data FOLDER``).
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table

@@ -30,13 +30,10 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
-
-os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
 
 import numpy as np
 from common.many_motors import NOISE_NM, one_predictor, rule, sample

@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import multiprocessing
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -60,9 +59,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if missing:
         print(f'table_5_1: error: {missing[0]} is missing; make setup installs it', file=sys.stderr)
         return 2
-    os.environ.update(
-        OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1'
-    )  # read by the workers: one thread each
     plan = _plan(options)
     with ProcessPoolExecutor(options.workers, multiprocessing.get_context('spawn')) as pool:
         outcomes = _run(pool, plan)

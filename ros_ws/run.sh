@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs a command inside the workspace: its Python first on PATH, then its executables; its packages sourced, nothing of
-# another environment.
+# another environment. Linear algebra gets one thread, unless OMP_NUM_THREADS or the like says otherwise.
 #
 #   ros_ws/run.sh python -m pytest tests
 #   ros_ws/run.sh identify bags/moderate --params bags/thesis.yaml
@@ -19,5 +19,7 @@ set +u    # the generated scripts read unset variables
 # shellcheck disable=SC1091
 . "$root/ros_ws/install/setup.bash"
 libraries=$root/ros_ws/install
+# As the executables do: threads of linear algebra would wait for each other, and longer where other programs run.
+for name in OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS; do export "$name=${!name:-1}"; done
 export PATH="$root/.venv/bin:$libraries/gray_box_observer/lib/gray_box_observer:$libraries/dc_motor_sim/lib/dc_motor_sim:$PATH"
 exec "$@"

@@ -54,7 +54,6 @@ class Bench:
     def __init__(self, domain: int, log: IO[str]) -> None:
         os.environ['ROS_DOMAIN_ID'] = str(domain)
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-        os.environ.setdefault('OMP_NUM_THREADS', '1')
         rclpy.init()
         self.node: Node = rclpy.create_node('fault_proxy')
         self.facts: dict[str, str] = {}

@@ -248,3 +248,13 @@ def test_running_without_a_build_says_what_to_do(tmp_path: Path):
     done = subprocess.run([copy, sys.executable], capture_output=True, text=True, timeout=30)
     assert done.returncode == 2
     assert done.stderr == 'run.sh: error: the workspace is not built; run make setup\n'
+
+
+@pytest.mark.parametrize(('asked', 'expected'), [({}, '1'), ({'OPENBLAS_NUM_THREADS': '3'}, '3')])
+def test_linear_algebra_gets_one_thread_unless_asked(asked: dict[str, str], expected: str):
+    others = {name: value for name, value in os.environ.items() if 'NUM_THREADS' not in name}
+    command = [RUN, 'printenv', 'OPENBLAS_NUM_THREADS']
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, env=others | asked, check=True
+    )
+    assert done.stdout == f'{expected}\n'
