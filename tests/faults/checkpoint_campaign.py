@@ -216,7 +216,7 @@ def main() -> int:
             assert not bad, 'the good checkpoint'
     signal.signal(signal.SIGPROF, _expire)
     until_s = time.monotonic() + 60.0 * options.minutes
-    for number in tqdm(numbers, 'mutated checkpoints', unit='file', disable=None, smoothing=0.0):
+    for number in tqdm(numbers, 'mutated checkpoints', unit='file', mininterval=1.0, smoothing=0.0):
         name = kinds[number % len(kinds)]
         if name in cases and time.monotonic() < until_s:
             _run(number, options, cases[name], tally)

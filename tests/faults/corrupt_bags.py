@@ -75,7 +75,7 @@ def main() -> int:
         _warm_up(sources[0][1])
         cases = range(options.cases) if options.only is None else [options.only]
         with _limits():
-            for case in tqdm(cases, 'damaged bags', unit='bag', disable=None, smoothing=0.0):
+            for case in tqdm(cases, 'damaged bags', unit='bag', mininterval=1.0, smoothing=0.0):
                 form, source = sources[case % len(sources)]
                 _run(case, options, form, source, originals[source], folder / 'case', tally)
     _print(tally, options, len(cases))

@@ -87,7 +87,7 @@ def main() -> int:
     node = rclpy.create_node('fault_publisher')
     try:
         with tempfile.TemporaryDirectory() as folder:
-            for number in tqdm(range(options.times), 'kills', unit='kill', disable=None):
+            for number in tqdm(range(options.times), 'kills', unit='kill', mininterval=1.0):
                 draw = random.Random(f'{options.seed}:{number}')
                 way = WAYS[number % len(WAYS)]
                 rounds.append(_round(node, Path(folder) / str(number), way, draw, options.rate))

@@ -286,7 +286,7 @@ def main() -> int:
         campaign = Campaign(Path(folder), options.seed)
         before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         cases = range(options.cases) if options.only is None else [options.only]
-        for case in tqdm(cases, 'damaged files', unit='file', disable=None, smoothing=0.0):
+        for case in tqdm(cases, 'damaged files', unit='file', mininterval=1.0, smoothing=0.0):
             _run(campaign, case, tally, shows=options.only is not None)
     for outcome, count in sorted(tally.outcomes.items()):
         print(f'{count:7d}  {outcome}')
