@@ -12,6 +12,7 @@ repeats one case and shows its traceback.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import signal
 import sys
 import tempfile
@@ -42,6 +43,9 @@ from gray_box_observer.settings.configuration import Configuration
 
 CPU_LIMIT_S = 60.0
 """Of one case; the thousand samples take a second or two where a network is taught."""
+
+HANG_S = 900.0
+"""By the clock: code that is not Python's hears no signal, so its hang ends the campaign."""
 
 SMALL_TRAINING: Mapping[str, Any] = {
     'training.hidden': 4, 'training.steps': 2, 'training.minibatch': 4, 'training.period': 100,
@@ -227,6 +231,7 @@ def _run(number: int, options: argparse.Namespace, case: Case, tally: NumberTall
     text, arrays, what = mutated(case.content, f'{options.seed}:{number}')
     since_s = time.process_time()
     signal.setitimer(signal.ITIMER_PROF, CPU_LIMIT_S)
+    faulthandler.dump_traceback_later(HANG_S, exit=True)
     try:
         observer = case.observer()
         try:
@@ -257,6 +262,7 @@ def _run(number: int, options: argparse.Namespace, case: Case, tally: NumberTall
         print(f'case {number}, {case.name}: {what}: {complaint[:300]}', file=sys.stderr, flush=True)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
+        faulthandler.cancel_dump_traceback_later()
         tally.longest_s = max(tally.longest_s, time.process_time() - since_s)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.errors import CheckpointError
+from gray_box_observer.predictor.training.random_state import pack
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     ArrayRule,
@@ -111,12 +112,14 @@ def test_the_state_of_a_generator_is_that_of_numpy_s() -> None:
         {'has_uint32': 2},
         {'uinteger': 1 << 32},
         {'state': {'state': 1}},
+        {'state': {'state': 0, 'inc': 0}},
     ):
         with pytest.raises(CheckpointError):
             check_generator({**state, **change})
-    check_words({'random': np.zeros(6, dtype=np.uint64)}, 'random')
-    for place, value in ((4, 2), (5, 1 << 32)):
-        words = np.zeros(6, dtype=np.uint64)
+    words = pack(np.random.default_rng(1))
+    check_words({'random': words}, 'random')
+    for place, value in ((2, 0), (2, 6), (4, 2), (5, 1 << 32)):
+        words = pack(np.random.default_rng(1))
         words[place] = value
         with pytest.raises(CheckpointError, match='no state of a generator'):
             check_words({'random': words}, 'random')

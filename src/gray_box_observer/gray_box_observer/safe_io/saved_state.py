@@ -245,6 +245,9 @@ def numbers(plain: Any, name: str, rule: ArrayRule) -> Array:
 def check_generator(plain: Any) -> None:
     """Refuse what is no state of numpy's default generator, as its own ``state`` gives it.
 
+    Its increment is odd. With an even one it may draw zeros for ever, and numpy waits for another
+    number without end.
+
     Raises:
         CheckpointError: it is none.
     """
@@ -252,6 +255,8 @@ def check_generator(plain: Any) -> None:
         raise CheckpointError('random is of another generator, expected PCG64')
     for name in ('state', 'inc'):
         whole(group(plain, 'state'), name, 0, (1 << 128) - 1)
+    if plain['state']['inc'] % 2 == 0:
+        raise CheckpointError('random is no state of a generator')
     whole(plain, 'has_uint32', 0, 1)
     whole(plain, 'uinteger', 0, (1 << 32) - 1)
 
@@ -263,5 +268,6 @@ def check_words(arrays: Mapping[str, Any], name: str) -> None:
         CheckpointError: it is none.
     """
     check_array(name, arrays.get(name), ArrayRule((6,), 0, float(1 << 64), WORD))
-    if arrays[name][4] > 1 or arrays[name][5] >= 1 << 32:
+    increment, has_uint32, uinteger = (int(arrays[name][place]) for place in (2, 4, 5))
+    if increment % 2 == 0 or has_uint32 > 1 or uinteger >= 1 << 32:
         raise CheckpointError(f'{name} is no state of a generator')
