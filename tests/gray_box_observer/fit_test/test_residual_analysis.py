@@ -19,6 +19,7 @@ from linear_motor_records import (
 from scipy.stats import chi2
 
 from gray_box_observer.context_nodes.measured_speed import output_fit
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test import FitVerdict, residual_analysis
@@ -256,5 +257,10 @@ def test_a_free_run_that_never_moves_says_nothing_of_the_stamps(
     run = FreeRun(
         stretch, 1.0, creep, current_a, np.zeros((SAMPLES, 3)), intervals, intervals, rest + 1.0
     )
-    monkeypatch.setattr(residual_analysis, 'free_run', lambda *_: run)
+
+    def at_once(*_: object) -> Pieces[FreeRun]:
+        yield 0
+        return run
+
+    monkeypatch.setattr(residual_analysis, 'free_run_in_pieces', at_once)
     assert analyse(WHITE_BOX, TRUTH, stretch).jitter == 0.0

@@ -48,6 +48,7 @@ class Bench:
 
     def __init__(self, motors: int, nodes: type = SimpleNamespace) -> None:
         self.log: list[Any] = []
+        self.given_estimates: list[object] = []
         self.schedule = Schedule()
         stated = {'theta': np.ones((motors, 2)), 'replay': None, '__init__': lambda self: None}
         rule = type('Rule', (nodes,), stated)
@@ -62,8 +63,11 @@ class Bench:
             lambda motor, has_news: self.log.append(('note', motor, has_news)),
         )
 
-    def _test(self, motor: int, delay: object, *, is_recent: bool) -> tuple[Any, bool]:
+    def _test(
+        self, motor: int, delay: object, *, is_recent: bool, estimate: object
+    ) -> tuple[Any, bool]:
         assert delay is DELAY
+        self.given_estimates.append(estimate)
         self.log.append(('newest' if is_recent else 'test', motor))
         return f'tested {motor}', True
 
@@ -106,6 +110,19 @@ def test_of_a_group_only_who_is_urgent_is_waited_for() -> None:
     assert bench.run() == later
     assert not bench.tests.is_waiting
     assert bench.run() == []
+
+
+def test_a_motor_alone_is_tested_by_the_estimate_that_waits() -> None:
+    bench = Bench(1)
+    bench.schedule.due_motors = [0]
+    bench.schedule.urgent_motors = {0}
+    assert bench.estimated(0) == [('test', 0), ('note', 0, False)]
+    assert bench.given_estimates == [ESTIMATE], 'its rule is not asked twice'
+    group = Bench(2)
+    group.schedule.due_motors = [1]
+    group.schedule.urgent_motors = {1}
+    assert group.estimated(0, 1) == [('test', 1), ('note', 1, False)]
+    assert group.given_estimates == [None], 'that is of all of them'
 
 
 def test_of_a_motor_alone_that_is_settled_the_question_waits_too() -> None:

@@ -8,7 +8,6 @@ another one. All is decided by counts of samples, so that every door leads to th
 from __future__ import annotations
 
 import math
-from itertools import islice
 from operator import le
 from typing import Any, NamedTuple
 
@@ -47,37 +46,39 @@ class CalmRange(NamedTuple):
 
     Attributes:
         due: place in its stream from which a test is due.
+        soon: place from which one is due of a motor that has become another one.
         begin: place before its oldest sample that counted; a later one: it has changed.
         lowest, highest: between which values its parameters are those that were tested.
         has_passed: whether it fitted; of such a motor, only parameters that are believed count.
     """
 
     due: int
+    soon: int
     begin: int
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
     has_passed: bool
 
-    def includes(self, place: int, begin: int, estimate: Estimate) -> bool:
-        """Tell whether a motor is still there.
+    def has_ended(self, place: int, begin: int) -> bool:
+        """Tell whether the motor has waited for its next test as long as it should.
 
         Args:
             place: of its newest sample.
             begin: place before its oldest sample that counts.
-            estimate: of this motor alone.
         """
-        return place < self.due and begin <= self.begin and self.covers(estimate)
+        return place >= (self.soon if begin > self.begin else self.due)
 
-    def covers(self, estimate: Estimate) -> bool:
+    def covers(self, estimate: Estimate, row: int = 0) -> bool:
         """Tell whether the parameters are those that were tested.
 
         Args:
-            estimate: of this motor alone.
+            estimate: of this motor, perhaps with others.
+            row: its place among these.
         """
-        values = estimate.value[0].tolist()
+        values = estimate.value[row].tolist()
         if all(map(le, self.lowest, values)) and all(map(le, values, self.highest)):
             return True
-        verdicts = estimate.verdicts[0]
+        verdicts = estimate.verdicts[row]
         columns = zip(values, self.lowest, self.highest, verdicts, strict=True)
         for value, lowest, highest, verdict in columns:
             is_far = value < lowest or value > highest
@@ -116,42 +117,47 @@ class FitSchedule:
             estimate: of these motors, in the same order.
             motors: their places on the motor axis.
         """
-        self._movers = frozenset()
-        if motors.size == 1 and self._is_calm(replay, estimate, motors.item()):
-            return []
+        rows = [0] if motors.size == 1 else self._candidates(replay, estimate, motors)
+        most = max(1, self._due.size // MANY)
+        movers: set[int] = set()
+        due_motors: list[int] = []
+        for row in rows:
+            motor = motors.item(row)
+            place = replay.received_of(motor)
+            calm_range = self._calm_ranges[motor]
+            has_moved = place >= calm_range.soon and not calm_range.covers(estimate, row)
+            if not has_moved and not calm_range.has_ended(place, replay.begin_of(motor)):
+                continue
+            if not self._is_ripe(estimate, row, motor, place):
+                continue
+            if has_moved:
+                movers.add(motor)
+            due_motors.append(motor)
+            if len(due_motors) == most:
+                break
+        self._movers = frozenset(movers)
+        return due_motors
+
+    def _candidates(
+        self, replay: ReplayBuffer, estimate: Estimate, motors: NDArray[np.intp]
+    ) -> list[int]:
+        """Return the rows of all that may be due, and of few others; who has waited longest first.
+
+        Arguments are those of :meth:`due`.
+        """
         places = replay.received[motors]
         due = self._due[motors]
-        has_waited, has_changed = places >= due, replay.begin(motors) > self._begin[motors]
         far = (estimate.value < self._lowest[motors]) | (estimate.value > self._highest[motors])
-        if not np.count_nonzero(far) and not np.count_nonzero(has_waited | has_changed):
-            return []
-        is_soon = places >= self._soon[motors]
-        has_waited = np.where(has_changed, is_soon, has_waited)
-        has_moved: NDArray[np.bool_] = np.logical_and(
-            is_soon, self._has_moved(estimate, motors, far)
-        )
-        rows = np.flatnonzero(has_waited | has_moved)
-        if not rows.size:
-            return []
-        self._movers = frozenset(motors[has_moved].tolist())
-        rows = rows[np.argsort(due[rows], kind='stable')]  # who has waited longest is first
-        due_motors = (
-            int(motors[row])
-            for row in rows.tolist()
-            if self._is_ripe(estimate, row, motors[row], places[row])
-        )
-        return list(islice(due_motors, max(1, self._due.size // MANY)))
-
-    def _is_calm(self, replay: ReplayBuffer, estimate: Estimate, motor: int) -> bool:
-        """Tell of one motor, whose estimate this is, whether nothing asks for a test: mostly so."""
-        place = replay.received_of(motor)
-        begin = replay.begin_of(motor)
-        return self._calm_ranges[motor].includes(place, begin, estimate)
+        is_another = far.any(axis=1) | (replay.begin(motors) > self._begin[motors])
+        rows = np.flatnonzero((places >= due) | (is_another & (places >= self._soon[motors])))
+        in_order: list[int] = rows[np.argsort(due[rows], kind='stable')].tolist()
+        return in_order
 
     def _calm_range(self, motor: int) -> CalmRange:
         """Return where nothing asks for a test of one motor."""
         return CalmRange(
             self._due.item(motor),
+            self._soon.item(motor),
             self._begin.item(motor),
             tuple(self._lowest[motor].tolist()),
             tuple(self._highest[motor].tolist()),
@@ -185,27 +191,6 @@ class FitSchedule:
         """Tell whether a first test is worth its time: something would be believed without it."""
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
         return bool(self._has_result[motor]) or hopeful or bool(place >= UNASKED)
-
-    def _has_moved(
-        self, estimate: Estimate, motors: NDArray[np.intp], far: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """Tell which motors are others than were tested, shape (motor,).
-
-        What a test has found holds for the values tested. Of a motor that fits, those count that
-        are believed.
-
-        Args:
-            estimate: of some motors.
-            motors: their places on the motor axis.
-            far: shape (motor, parameter): whether a value is far from the one that was tested.
-        """
-        has_moved: NDArray[np.bool_] = np.asarray(far.any(axis=1))
-        for row in np.flatnonzero(has_moved & self._has_passed[motors]).tolist():
-            verdicts = zip(estimate.verdicts[row], far[row], strict=True)
-            has_moved[row] = any(
-                verdict is Verdict.IDENTIFIED and is_far for verdict, is_far in verdicts
-            )
-        return has_moved
 
     def begin_test(self, motor: int, place: int) -> None:
         """Note that a motor is tested.

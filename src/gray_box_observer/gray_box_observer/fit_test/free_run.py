@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import robust_std
 from gray_box_observer.context_nodes.recursive.trajectory import (
     Linearised,
@@ -120,6 +121,11 @@ class FreeRun:
 
 
 def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
+    """Run the white box freely through a stretch, at once; see :func:`free_run_in_pieces`."""
+    return completed(free_run_in_pieces(white_box, p, stretch))
+
+
+def free_run_in_pieces(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Pieces[FreeRun]:
     """Run the white box freely through a stretch.
 
     Args:
@@ -133,7 +139,9 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     without_correction = np.zeros_like(stretch.state)
     for attempt in range(PASSES):
         maps = linearise(white_box, p, stretch, np.clip(about, -limit, limit))
+        yield 0
         path = follow(maps, stretch, start, without_correction)
+        yield 0
         residual = stretch.state - path.state
         kicks = _kicks(path, residual, stretch) if attempt == 0 else None
         if kicks is not None:
@@ -145,6 +153,8 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
         is_near = float(np.std(stretch.state - about)) <= NEAR * float(np.std(stretch.state))
         if kicks is None and is_near:
             break
+        yield 0
+    yield 0
     residual = stretch.state - about
     loose = restart_variance(maps.decay, stretch.restart)
     if stretch.restart.any():

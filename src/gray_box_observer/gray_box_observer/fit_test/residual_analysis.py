@@ -20,7 +20,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
-from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
 from gray_box_observer.fit_test.input_noise import (
     BY_NEIGHBOURS,
@@ -61,6 +61,9 @@ LAGS = 20
 
 CREDIBLE = 6.0
 """Standard deviations beyond which a residual counts for no more: an outlier is not a misfit."""
+
+RESPONSES = 6
+"""Responses to effects, or effects, that are dealt with in one piece."""
 
 LIKELY = 10.0
 """Score, by white residuals, from which an effect is worth the robust test."""
@@ -216,16 +219,21 @@ def analysis_in_pieces(
         new: how many samples came after the last of these; None: all of the stretch.
     """
     work = stretch.state.size
-    run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
+    if white_box.has_rotor:
+        run = rotor_free_run(white_box, p, stretch)
+    else:
+        run = yield from free_run_in_pieces(white_box, p, stretch)
     yield work
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
+    yield 0
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
     base = np.column_stack([run.jacobian, *run.further])
     if is_drifting:
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
+    yield 0
     projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
     yield work
     residual = projection.remainder if is_drifting else projection.residual
@@ -240,15 +248,18 @@ def analysis_in_pieces(
     theta = to_parameters(p)[0]
     yield work
     responses_a = stamp_responses(run)
+    yield 0
     window = {
         **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
         **voltage_variances(run),
     }
+    yield 0
     count = residual.size
     new_count = count if new is None else new
     input_evidence = earlier.with_window(window, count, new_count)
     delay, lead = stamp_errors(projection, responses_a, input_evidence)
     variances = {name: input_evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
+    yield 0
     least_squares = {}
     if not white_box.has_rotor:
         least_squares = least_squares_of(white_box, theta, projection, noise_a, robust_std)
@@ -277,6 +288,7 @@ def analysis_in_pieces(
     scores = yield from _scores(
         run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
     )
+    yield 0
     return ResidualAnalysis(
         samples=residual.size,
         floor_a=floor_a,
@@ -400,19 +412,27 @@ def _scores(
             else effect.alternatives(fine)
         )
     ]
+    yield 0
     voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
     work = voltages.shape[-1]
     yield work
-    response = projection.with_weight(run.response(voltages))
+    parts = []
+    for begin in range(0, len(voltages), RESPONSES):
+        parts.append(projection.with_weight(run.response(voltages[begin : begin + RESPONSES])))
+        yield 0
+    response = np.concatenate(parts)
     yield work
     distinct = projection.without(response)
+    yield 0
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
     remainders = [projection.remainder] + ([] if late_remainder is None else [late_remainder])
     residual_parts = [(part, distinct @ part, float(part @ part)) for part in remainders]
     best: dict[str, EffectScore] = {}
     first = 0
-    for effect, shapes in candidates:
+    for number, (effect, shapes) in enumerate(candidates):
+        if number % RESPONSES == 0:
+            yield 0
         columns = np.arange(first, first + len(shapes))
         first += len(shapes)
         is_own = own[columns]

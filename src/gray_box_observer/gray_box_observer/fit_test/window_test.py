@@ -273,6 +273,7 @@ class WindowTest:
         content = np.ascontiguousarray(motor.newest(count))
         samples = content[:, 0]
         window = SampleWindow.of_content(white_box, content)
+        yield 0
         is_drifting = motor.is_drifting
         # samples may be absurd; what is not finite is a misfit
         analysis = yield from without_warnings(
@@ -298,6 +299,7 @@ class WindowTest:
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
+        yield 0
         content = motor.content
         data_doubts = doubts(white_box, samples, theta[0], self.configuration)
         suspects = list(data_doubts.suspects)
@@ -310,6 +312,7 @@ class WindowTest:
         )
         if sheet is not None and not suspects:
             suspects.append(sheet)
+        yield 0
         noise_a = analysis.moving_noise_a or (0.0 if before is None else before.noise_a)
         range_suspect = doubt_of_range(white_box.state(content[TORQUE, 0]), noise_a)
         if range_suspect is not None:

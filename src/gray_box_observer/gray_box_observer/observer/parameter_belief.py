@@ -163,18 +163,27 @@ class ParameterBelief:
         self.is_identified[motors] = is_identified
         self.known_flags[motors] = known_flags
 
-    def test(self, motor: int, delay: DelayEstimate, *, is_recent: bool) -> tuple[Estimate, bool]:
+    def test(
+        self,
+        motor: int,
+        delay: DelayEstimate,
+        *,
+        is_recent: bool,
+        estimate: Estimate | None = None,
+    ) -> tuple[Estimate, bool]:
         """Test the fit of one motor at once.
 
         Args:
             motor: its place on the motor axis.
             delay: what is known of its delay.
             is_recent: whether its newest samples alone are tested.
+            estimate: of this motor alone, as the rule gives it now; None: the rule is asked.
 
         Returns:
             What is believed of it then, and whether that has changed.
         """
-        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        if estimate is None:
+            estimate = self.context_nodes.estimate(slice(motor, motor + 1))
         test = self._fit.test_newest if is_recent else self._fit.test
         return self._compared(
             motor, estimate, partial(test, self.context_nodes, estimate, motor, delay)

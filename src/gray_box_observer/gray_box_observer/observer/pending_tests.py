@@ -116,7 +116,8 @@ class PendingTests:
             return
         for motor in self._schedule.due(self._belief.context_nodes.replay, estimate, motors):
             if self._schedule.is_urgent(motor):
-                self.test(motor, is_out=False)
+                own_estimate = estimate if self._is_alone else None
+                self.test(motor, is_out=False, estimate=own_estimate)
             else:
                 self._tests_due.append((motor, False))
 
@@ -126,18 +127,28 @@ class PendingTests:
         if not self._tests_due and self._schedule.is_stale(replay, 0):
             self._tests_due.append((0, True))
 
-    def test(self, motor: int, *, is_out: bool, is_recent: bool = False) -> Estimate:
+    def test(
+        self,
+        motor: int,
+        *,
+        is_out: bool,
+        is_recent: bool = False,
+        estimate: Estimate | None = None,
+    ) -> Estimate:
         """Test the fit of one motor at once; return its estimate as far as that allows.
 
         Args:
             motor: its place on the motor axis.
             is_out: whether its present estimate has gone out already.
             is_recent: whether its newest samples alone are tested.
+            estimate: of this motor alone, as its rule gives it now; None: the rule is asked.
         """
         delay = self._delay.estimate_of(motor)
-        estimate, has_changed = self._belief.test(motor, delay, is_recent=is_recent)
+        belief, has_changed = self._belief.test(
+            motor, delay, is_recent=is_recent, estimate=estimate
+        )
         self._note(motor, is_out and has_changed)
-        return estimate
+        return belief
 
     def end(self, *, is_out: bool) -> bool:
         """Let the result of the test that has begun count; tell whether it changes the belief.

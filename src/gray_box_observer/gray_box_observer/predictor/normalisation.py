@@ -11,6 +11,7 @@ import numpy as np
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array
 
 
@@ -52,7 +53,7 @@ class Range:
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return cls(-1.0, 1.0)
-        middle = float(np.median(finite))
+        middle = float(median(finite))
         tiny = max(1e-9, 1e-6 * abs(middle))
         return cls(middle - tiny, middle + tiny).extend_to(finite)
 

@@ -22,6 +22,7 @@ from gray_box_observer.safe_io.saved_state import (
     check_array,
     counts,
 )
+from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.samples.replay_buffer import check_signals
 from gray_box_observer.white_box.interface import Array
 
@@ -148,9 +149,7 @@ def maps(segments: list[Array]) -> Array:
     signals = np.nan_to_num(
         np.stack(segments)[:, [SIGNALS.index('voltage_v'), SIGNALS.index('torque_nm')]]
     )
-    size = np.quantile(np.abs(signals), 0.95, axis=3, keepdims=True).max(
-        axis=0
-    )  # shape: (signal, motor, 1)
+    size = quantile(np.abs(signals), 0.95).max(axis=0)[:, :, None]  # shape: (signal, motor, 1)
     volt, torque = cells(signals / np.maximum(size, 1e-9)).transpose(
         1, 0, 2, 3
     )  # shapes: (segment, motor, time)
