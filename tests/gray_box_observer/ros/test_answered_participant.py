@@ -1,7 +1,8 @@
-"""A watcher takes another participant until an observer has answered."""
+"""A watcher takes one participant after another, until an observer has answered one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
@@ -34,13 +35,23 @@ class Reader:
 
 
 class Participant:
-    """Stands in for a node of a participant: some observers have answered it."""
+    """Stands in for a node of a participant, and for its context: some observers have answered."""
 
     def __init__(self, answers: tuple[str, ...], is_silent: bool = False) -> None:
         self.answers = answers
         self.is_silent = is_silent
         self.subscribed: list[str] = []
         self.is_destroyed = False
+        self.is_shut_down = False
+
+    @property
+    def context(self) -> Participant:
+        """Return what is shut down with it."""
+        return self
+
+    def try_shutdown(self) -> None:
+        """Note that the context is shut down."""
+        self.is_shut_down = True
 
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
         """Return the topics of observers that have answered, and one that is of nobody."""
@@ -58,72 +69,114 @@ class Participant:
         self.is_destroyed = True
 
 
+Make = Callable[[Callable[[int], Participant]], list[Participant]]
+
+
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[Participant]:
-    """Participants in the order in which they are made: each is answered by one more observer."""
-    participants: list[Participant] = []
+def participants(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return the list of the participants, each made by its number, in the order they are made."""
 
-    def make() -> Participant:
-        names = ('/a', '/b')[: len(participants)]
-        participants.append(Participant(names))
-        return participants[-1]
+    def made_by(make: Callable[[int], Participant]) -> list[Participant]:
+        made: list[Participant] = []
 
-    monkeypatch.setattr(answered_participant, '_listening_node', make)
+        def listening_node(_args: object) -> Participant:
+            made.append(make(len(made)))
+            return made[-1]
+
+        monkeypatch.setattr(answered_participant, '_listening_node', listening_node)
+        return made
+
     monkeypatch.setattr(answered_participant, 'ANSWER_S', 0.05)
-    return participants
+    monkeypatch.setattr(answered_participant, 'PAUSE_S', 0.0)
+    return made_by
+
+
+def one_more_answer(number: int) -> Participant:
+    """Return a participant that is answered by one more observer than the one before."""
+    return Participant(('/a', '/b')[:number])
+
+
+def found(observers: tuple[str, ...] = (), *, is_end_requested: bool = False) -> Any:
+    """Find a participant."""
+    return answered_participant.answered_participant(None, observers, lambda: is_end_requested)
+
+
+def check_only(held: Participant, made: list[Participant]) -> None:
+    """Check that all but one participant were given back."""
+    assert [one for one in made if not one.is_destroyed] == [held]
+    assert [one for one in made if not one.is_shut_down] == [held]
 
 
 @pytest.mark.parametrize(
     ('observers', 'count', 'heard'),
     [((), 2, ('/a',)), (('/b',), 3, ('/b',)), (('/a', '/b'), 3, ('/a', '/b'))],
 )
-def test_a_participant_is_held_once_the_observers_have_answered(
-    made: list[Participant], observers: tuple[str, ...], count: int, heard: tuple[str, ...]
+def test_the_first_participant_that_the_observers_have_answered_is_held(
+    participants: Make, observers: tuple[str, ...], count: int, heard: tuple[str, ...]
 ) -> None:
-    with answered_participant.answered_participant(observers, lambda: False):
-        assert [one.is_destroyed for one in made] == [True] * (count - 1) + [False]
+    made = participants(one_more_answer)
+    with found(observers) as context:
+        assert len(made) == count
+        assert context is made[-1]
+        check_only(made[-1], made)
         assert made[-1].subscribed == [f'{name}/estimates' for name in heard]
     assert made[-1].is_destroyed
+    assert not made[-1].is_shut_down, 'nodes were made in it'
 
 
-def test_an_observer_with_nothing_to_tell_yet_is_waited_for_with_two_participants(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made: list[Participant] = []
+def test_a_participant_may_be_answered_after_later_ones_were_made(participants: Make) -> None:
+    made = participants(lambda _: Participant(()))
 
-    def make() -> Participant:
-        made.append(Participant(('/a',), is_silent=True))
-        return made[-1]
+    def answer() -> bool:
+        made[1 if len(made) > 3 else 0].answers = ('/a',) if len(made) > 3 else ()
+        return False
 
-    monkeypatch.setattr(answered_participant, '_listening_node', make)
-    monkeypatch.setattr(answered_participant, 'ANSWER_S', 0.05)
-    with answered_participant.answered_participant((), lambda: False):
-        assert [one.is_destroyed for one in made] == [True, False]
+    with answered_participant.answered_participant(None, (), answer) as context:
+        assert context is made[1]
+        check_only(made[1], made)
 
 
-def test_a_crowd_of_observers_is_not_listened_to_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    crowd = Participant(tuple(f'/o{k}' for k in range(300)))
-    monkeypatch.setattr(answered_participant, '_listening_node', lambda: crowd)
-    with answered_participant.answered_participant((), lambda: False):
-        assert len(crowd.subscribed) == MOST_OBSERVERS
+def test_an_observer_with_nothing_to_tell_yet_is_waited_for_no_longer(participants: Make) -> None:
+    made = participants(lambda number: Participant(('/a',)[:number], is_silent=True))
+    with found() as context:
+        assert context is made[1], 'the first that knows of it'
+        check_only(made[1], made)
+        assert len(made) < MOST_PARTICIPANTS
 
 
-def test_what_fails_meanwhile_leaves_no_participant(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = Participant(())
-    monkeypatch.setattr(answered_participant, '_listening_node', lambda: broken)
+def test_a_crowd_of_observers_is_not_listened_to_in_full(participants: Make) -> None:
+    made = participants(lambda _: Participant(tuple(f'/o{k}' for k in range(300))))
+    with found():
+        assert len(made[0].subscribed) == MOST_OBSERVERS
+
+
+def test_what_fails_meanwhile_leaves_no_participant(participants: Make) -> None:
+    made = participants(lambda _: Participant(()))
     with (
         pytest.raises(ZeroDivisionError),
-        answered_participant.answered_participant((), lambda: bool(1 // 0)),
+        answered_participant.answered_participant(None, (), lambda: bool(1 // 0)),
     ):
         pass
-    assert broken.is_destroyed
+    assert made[0].is_destroyed
+    assert made[0].is_shut_down
 
 
-def test_where_nobody_answers_the_last_one_is_held(made: list[Participant]) -> None:
-    with answered_participant.answered_participant(('/c',), lambda: False):
-        assert [one.is_destroyed for one in made] == [True] * (MOST_PARTICIPANTS - 1) + [False]
+def test_where_not_all_answer_the_one_that_most_have_answered_is_held(participants: Make) -> None:
+    made = participants(one_more_answer)
+    with found(('/a', '/b', '/c')) as context:
+        assert context is made[2]
+        check_only(made[2], made)
 
 
-def test_a_request_for_the_end_is_heard_meanwhile(made: list[Participant]) -> None:
-    with answered_participant.answered_participant(('/c',), lambda: True):
-        assert [one.is_destroyed for one in made] == [False]
+def test_where_nobody_answers_so_many_are_tried_and_one_is_held(participants: Make) -> None:
+    made = participants(lambda _: Participant(()))
+    with found():
+        assert len(made) == MOST_PARTICIPANTS
+        assert sum(not one.is_shut_down for one in made) == 1
+
+
+def test_a_request_for_the_end_is_heard_meanwhile(participants: Make) -> None:
+    made = participants(lambda _: Participant(()))
+    with found(is_end_requested=True):
+        assert len(made) == 1
+        check_only(made[0], made)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from rclpy.context import Context
 from rclpy.node import Node
 
 from gray_box_observer.ros.running import Stop, run_node
@@ -53,15 +55,16 @@ class DashboardNode(Node):
 
     Args:
         settings: what to show.
+        context: of the participant that is used; None: the default one.
 
     Raises:
         ConfigurationError: a parameter, or the port, cannot be used.
     """
 
-    def __init__(self, settings: DashboardSettings) -> None:
+    def __init__(self, settings: DashboardSettings, context: Context | None = None) -> None:
         self._configuration = Configuration.from_flat(settings.parameters)
         self._settings = settings
-        super().__init__(NODE_NAME, **WITHOUT_SERVICES)
+        super().__init__(NODE_NAME, context=context, **WITHOUT_SERVICES)
         courses = SignalCourses(self._configuration['jump_back_s'])
         self.source = PageSource(WatchedState(settings.observers), courses, time.monotonic)
         self._server = PageServer(self.source, settings.address, settings.port)
@@ -115,15 +118,18 @@ def serve(args: Sequence[str], settings: DashboardSettings) -> int:
         args: The whole command line, for what ROS takes of it.
         settings: What to show.
     """
+    with ExitStack() as contexts:
 
-    def make_node(stop: Stop) -> DashboardNode:
-        with answered_participant(settings.observers, lambda: stop.is_requested):
-            return DashboardNode(settings)
+        def make_node(stop: Stop) -> DashboardNode:
+            observers = settings.observers
+            with answered_participant(args, observers, lambda: stop.is_requested) as context:
+                contexts.callback(context.try_shutdown)
+                return DashboardNode(settings, context)
 
-    return run_node(
-        make_node,
-        args,
-        name='dashboard',
-        executor_factory=PollingExecutor,
-        tells_range=False,
-    )
+        return run_node(
+            make_node,
+            args,
+            name='dashboard',
+            executor_factory=PollingExecutor,
+            tells_range=False,
+        )

@@ -6,7 +6,9 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 
+from rclpy.context import Context
 from rclpy.node import Node
 
 from gray_box_observer.errors import GrayBoxError
@@ -40,6 +42,7 @@ class WatchNode(Node):
         once: end with the first table that is complete.
         timeout_s: with `once`, show what was heard after so long at the latest.
         started_s: monotonic time from which that counts; None: now.
+        context: of the participant that is used; None: the default one.
     """
 
     def __init__(
@@ -52,8 +55,9 @@ class WatchNode(Node):
         once: bool = False,
         timeout_s: float = SILENT_S,
         started_s: float | None = None,
+        context: Context | None = None,
     ) -> None:
-        super().__init__(NODE_NAME, **WITHOUT_SERVICES)
+        super().__init__(NODE_NAME, context=context, **WITHOUT_SERVICES)
         self._stop = stop
         self._display = display
         self._period_s = period_s
@@ -151,7 +155,7 @@ def watch_live(
         once: End with the first complete table.
         timeout_s: With `once`, wait so long at most for a complete one.
     """
-    with TableDisplay(sys.stdout, most, live=not once) as display:
+    with ExitStack() as contexts, TableDisplay(sys.stdout, most, live=not once) as display:
 
         def make_node(stop: Stop) -> WatchNode:
             started_s = time.monotonic()
@@ -159,7 +163,8 @@ def watch_live(
             def is_over() -> bool:
                 return stop.is_requested or (once and time.monotonic() - started_s > timeout_s)
 
-            with answered_participant(observers, is_over):
+            with answered_participant(args, observers, is_over) as context:
+                contexts.callback(context.try_shutdown)
                 return WatchNode(
                     stop,
                     display,
@@ -168,6 +173,7 @@ def watch_live(
                     once=once,
                     timeout_s=timeout_s,
                     started_s=started_s,
+                    context=context,
                 )
 
         return run_node(
