@@ -60,9 +60,9 @@ _SCORES = {
     ),
     'skill_vs_persistence': (
         'Skill against persistence',
-        '1 is perfect; 0 is no better than to repeat the last measured torque, which is hard to '
-        'beat with many samples '
-        'a second and little noise; negative is worse',
+        'over the whole run, its start included; 1 is perfect; 0 is no better than '
+        'to repeat the last measured torque, which is hard to beat with many samples a second and '
+        'little noise; negative is worse',
     ),
     'skill_vs_white_box': (
         'Skill against the white box',
