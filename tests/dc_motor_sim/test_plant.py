@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dc_motor_sim.errors import PlantError
-from dc_motor_sim.plant import MAX_SUBSTEPS, Plant, PlantParameters
+from dc_motor_sim.plant import MAX_SUBSTEPS, MOST_BY_NUMBERS, Plant, PlantParameters
 
 THESIS = PlantParameters()
 
@@ -84,6 +84,42 @@ def test_the_brush_drop_takes_its_voltage_in_both_directions():
     assert run(Plant([motor]), -10.0, 10.0)[0, 0] == pytest.approx(-8.0 / r, rel=1e-6)
 
 
+def test_an_offset_is_missing_whatever_the_current():
+    motor = replace(THESIS, hysteresis=0.0, voltage_offset=0.5)
+    r = 1.0 + 1e-4
+    for voltage_v, current_a in ((10.0, 9.5), (0.0, -0.5), (-10.0, -10.5)):
+        assert run(Plant([motor]), voltage_v, 10.0)[0, 0] == pytest.approx(current_a / r, rel=1e-6)
+
+
+def test_the_dead_zone_of_the_driver_takes_its_voltage_and_all_of_a_smaller_one():
+    motor = replace(THESIS, hysteresis=0.0, dead_zone=2.0)
+    r = 1.0 + 1e-4
+    for voltage_v, current_a in ((10.0, 8.0), (-10.0, -8.0), (1.5, 0.0), (-2.0, 0.0)):
+        found_a = run(Plant([motor]), voltage_v, 10.0)[0, 0]
+        assert found_a == pytest.approx(current_a / r, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize('mode', ['thesis', 'rotor'])
+def test_a_sensor_that_lags_reads_the_torque_filtered(mode):
+    lag_s = 0.05
+    motor = replace(THESIS, hysteresis=0.0, back_emf_constant=0.0)
+    plant = Plant([motor], mode, lag_s)
+    state = run(plant, 10.0, 0.3)
+    electrical_s = 0.5
+    fast_s = np.exp(-0.3 / lag_s) * lag_s
+    slow_s = np.exp(-0.3 / electrical_s) * electrical_s
+    sensed_a = 10.0 * (1.0 + (fast_s - slow_s) / (electrical_s - lag_s))
+    assert plant.sensed_torque_nm(state) == pytest.approx(0.01 * sensed_a, rel=1e-5)
+    assert plant.torque_nm(state) == pytest.approx(
+        0.1 * (1.0 - np.exp(-0.3 / electrical_s)), rel=1e-6
+    )
+
+
+def test_the_solver_is_as_fine_as_the_lag_asks():
+    state = Plant([THESIS], 'thesis', 1e-3).initial_state()
+    assert Plant([THESIS], 'thesis', 1e-3).substeps_for(state, np.array([1.0]), 0.01, 0.01) == 100
+
+
 def test_coulomb_friction_holds_the_rotor_against_a_smaller_torque():
     motor = replace(THESIS, viscous_friction=0.0, coulomb_friction=0.05, hysteresis=0.0)
     plant = Plant([motor], 'rotor')
@@ -92,14 +128,30 @@ def test_coulomb_friction_holds_the_rotor_against_a_smaller_torque():
 
 
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])
-def test_motors_side_by_side_do_what_each_does_alone(mode):
-    motors = [THESIS, PlantParameters(inductance=0.35, resistance=0.8, hysteresis=14.0)]
-    state = Plant(motors, mode).initial_state() + 0.5
-    voltage_v = np.array([3.0, 12.0])
-    together = Plant(motors, mode).step(state, voltage_v, 0.01, 4)
+@pytest.mark.parametrize('lag_s', [0.0, 0.02])
+@pytest.mark.parametrize('crowd', [0, MOST_BY_NUMBERS])
+def test_motors_side_by_side_do_what_each_does_alone(mode, lag_s, crowd):
+    driven = replace(THESIS, dead_zone=1.0, voltage_offset=-0.5, brush_drop=0.3)
+    motors = [THESIS, PlantParameters(inductance=0.35, resistance=0.8, hysteresis=14.0), driven]
+    everybody = Plant(motors + crowd * [THESIS], mode, lag_s)
+    state = everybody.initial_state() + 0.5
+    voltage_v = np.array([3.0, 12.0, -0.5] + crowd * [1.0])
+    load_nm = np.array([0.0, 0.1, -0.2] + crowd * [0.0])
+    together = everybody.step(state, voltage_v, 0.01, 4, load_nm)
     for m, motor in enumerate(motors):
-        alone = Plant([motor], mode).step(state[m : m + 1], voltage_v[m : m + 1], 0.01, 4)
-        assert together[m].tolist() == alone[0].tolist()
+        one = slice(m, m + 1)
+        alone = Plant([motor], mode, lag_s).step(state[one], voltage_v[one], 0.01, 4, load_nm[one])
+        assert together[m] == pytest.approx(alone[0], rel=1e-13)
+        assert crowd or together[m].tolist() == alone[0].tolist()
+
+
+def test_a_further_load_is_added_to_the_constant_one():
+    both = Plant([replace(THESIS, load_torque=0.3)], 'rotor')
+    state = both.initial_state()
+    further = Plant([replace(THESIS, load_torque=0.1)], 'rotor').step(
+        state, np.array([5.0]), 0.01, 10, np.array([0.2])
+    )
+    assert both.step(state, np.array([5.0]), 0.01, 10) == pytest.approx(further, rel=1e-12)
 
 
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])

@@ -48,6 +48,13 @@ def test_a_value_is_rounded_to_the_resolution_and_kept_in_the_range():
     assert measured(parameters, [0.0], torque_nm=-5.0)[0][0, 0] == -0.2
 
 
+def test_an_offset_is_read_before_the_resolution_and_the_range():
+    parameters = SensorParameters(torque_offset=0.05, torque_quantisation=0.03, torque_limit=0.2)
+    assert measured(parameters, [0.0])[0][0, 0] == pytest.approx(0.15)
+    assert measured(parameters, [0.0], torque_nm=0.19)[0][0, 0] == 0.2
+    assert measured(SensorParameters(torque_offset=-0.02), [0.0])[0][0, 0] == pytest.approx(0.08)
+
+
 def test_a_negative_deviation_is_refused():
     with pytest.raises(SensorError, match=r'^torque_noise_std must be'):
         SensorParameters(torque_noise_std=-0.1)

@@ -189,3 +189,35 @@ def test_ten_thousand_motors_run_in_the_same_code():
     recording = Simulation(motors, 'C[10]').record(0.1)
     assert recording.torque_nm.shape == (10_000, 10)
     assert (np.diff(recording.torque_nm[:, -1]) < 0.0).all()
+
+
+def test_a_sensor_that_lags_leaves_the_true_torque_as_it_is():
+    lagging = simulation(torque_lag_s=0.02, seed=3).record(5.0)
+    prompt = simulation(seed=3).record(5.0)
+    assert lagging.true_torque_nm == pytest.approx(prompt.true_torque_nm, rel=1e-6, abs=1e-12)
+    late_nm = np.interp(np.arange(500) - 2.0, np.arange(500), prompt.torque_nm[0])
+    off_nm = [
+        np.abs(lagging.torque_nm[0, 50:] - nm[50:]).mean() for nm in (late_nm, prompt.torque_nm[0])
+    ]
+    assert off_nm[0] < 0.2 * off_nm[1]
+    with pytest.raises(ConfigurationError, match=r'^torque_lag_s must be from 0 to 10; got -1$'):
+        simulation(torque_lag_s=-1.0)
+
+
+def test_a_load_that_walks_moves_the_rotor_as_its_deviation_says():
+    # With friction alone w = -T_load / b: the speed is the walk, but for a lag of 10 ms.
+    motors = {f'm{k}': replace(THESIS, load_walk=0.5) for k in range(200)}
+    walks = Simulation(motors, 'C[0]', speed_mode='rotor', sample_rate_hz=50.0, seed=2).record(4.0)
+    for after_s in (1.0, 4.0):
+        speed = walks.speed_rad_s[:, round(after_s * 50.0) - 1]
+        assert speed.std() == pytest.approx(0.5 * np.sqrt(after_s), rel=0.15)
+    still = Simulation({'motor': THESIS}, 'C[0]', speed_mode='rotor', seed=2).record(1.0)
+    assert not still.speed_rad_s.any()
+
+
+def test_a_walk_that_begins_later_begins_at_the_load_that_was():
+    walker = simulation('C[0]', speed_mode='rotor', seed=2, schedule=['motor.load_walk=0.5@1'])
+    speed = walker.record(2.0).speed_rad_s[0]
+    assert not speed[:100].any()
+    assert np.abs(np.diff(speed)).max() < 0.5
+    assert speed[101:].any()

@@ -1,9 +1,12 @@
 """The plant: DC motors with magnetic hysteresis, many at once (thesis 4.1, equations 4.1 to 4.4).
 
-    L di/dt = V - R i - Kb w - K_HS |w| i - V_b sign(i)        T = Kt i
+    L di/dt = V_d - V_0 - R i - Kb w - K_HS |w| i - V_b sign(i)        T = Kt i
 
     thesis mode:  w = Kt i
     rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - T_load
+
+The driver gives ``V_d = sign(V) max(|V| - dead zone, 0)`` of the voltage V that is published. Where
+the sensor lags, what it reads is a state too: ``lag dy/dt = i - y``.
 
 The thesis writes the hysteresis voltage of its mode as `K_HS Kt i^2`, which would feed energy into
 a motor whose current is negative; `K_HS |w| i` is the same for positive current and dissipates in
@@ -70,6 +73,19 @@ class PlantParameters:
     brush_drop: float = field(
         default=0.0, metadata=about('brush voltage drop V_b, against the current', 'V', 0.0, 100.0)
     )
+    voltage_offset: float = field(
+        default=0.0,
+        metadata=about('voltage V_0 that is missing whatever the current', 'V', -100.0, 100.0),
+    )
+    dead_zone: float = field(
+        default=0.0,
+        metadata=about(
+            'dead zone of the driver: so much of its voltage is lost, and all of a smaller one',
+            'V',
+            0.0,
+            1e3,
+        ),
+    )
     inertia: float = field(
         default=0.01, metadata=about('moment of inertia J of rotor and load', 'kg m^2', 1e-9, 1e6)
     )
@@ -84,6 +100,15 @@ class PlantParameters:
         default=0.0,
         metadata=about('load torque T_load, against positive rotation', 'N m', -1e6, 1e6),
     )
+    load_walk: float = field(
+        default=0.0,
+        metadata=about(
+            'random walk of the load torque: its standard deviation after one second',
+            'N m / s^0.5',
+            0.0,
+            1e6,
+        ),
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, PlantError)
@@ -93,18 +118,29 @@ class Plant:
     """Motors with fixed parameters; the state goes in and comes out, nothing is remembered.
 
     State: shape (motor, 1) holding the current in A in thesis mode, (motor, 2) holding current in A
-    and speed in rad/s in rotor mode. Voltages, torques and speeds: shape (motor,).
+    and speed in rad/s in rotor mode; of a sensor that lags, one more for the current in A that it
+    reads. Voltages, torques and speeds: shape (motor,).
 
     Args:
         motors: Parameters of each motor, in the order of the motor axis.
         speed_mode: `thesis` (the speed follows the current, `w = Kt i`) or `rotor` (the speed is a
             state).
+        torque_lag_s: Time constant of the torque sensor in s; 0: it reads the torque at once.
+
+    Attributes:
+        motors, speed_mode, torque_lag_s: As above.
+        load_walk: Shape (motor,): of their parameters. Who steps the plant makes the walk.
 
     Raises:
         PlantError: No motor, or an unknown speed mode.
     """
 
-    def __init__(self, motors: Sequence[PlantParameters], speed_mode: str = 'thesis') -> None:
+    def __init__(
+        self,
+        motors: Sequence[PlantParameters],
+        speed_mode: str = 'thesis',
+        torque_lag_s: float = 0.0,
+    ) -> None:
         if not motors:
             raise PlantError('a plant needs at least one motor; got none')
         if speed_mode not in SPEED_MODES:
@@ -113,6 +149,7 @@ class Plant:
             )
         self.motors = tuple(motors)
         self.speed_mode = speed_mode
+        self.torque_lag_s = torque_lag_s
         columns = {
             f.name: np.array([getattr(motor, f.name) for motor in self.motors])
             for f in fields(PlantParameters)
@@ -128,23 +165,37 @@ class Plant:
         self._b: FloatArray = columns['viscous_friction']
         self._Tc: FloatArray = columns['coulomb_friction']
         self._Tl: FloatArray = columns['load_torque']
+        self.load_walk: FloatArray = columns['load_walk']
+        self._V0: FloatArray = columns['voltage_offset']
+        self._dead_zone: FloatArray = columns['dead_zone']
+        self._is_driver_ideal = not (self._V0.any() or self._dead_zone.any())
         self._brushes = bool(self._Vb.any())
         self._rotor = speed_mode == 'rotor'
 
     def initial_state(self) -> FloatArray:
         """Return every motor at rest and without current."""
-        return np.zeros((len(self.motors), 2 if self._rotor else 1))
+        states = (2 if self._rotor else 1) + (1 if self.torque_lag_s > 0.0 else 0)
+        return np.zeros((len(self.motors), states))
 
     def torque_nm(self, state: FloatArray) -> FloatArray:
         """Return the motor torque `T = Kt i` in N m, before friction and load."""
         return self._Kt * state[:, 0]
+
+    def sensed_torque_nm(self, state: FloatArray) -> FloatArray:
+        """Return the torque in N m that reaches the sensor, which may lag."""
+        return self._Kt * state[:, -1] if self.torque_lag_s > 0.0 else self.torque_nm(state)
 
     def speed_rad_s(self, state: FloatArray) -> FloatArray:
         """Return the shaft speed in rad/s."""
         return state[:, 1].copy() if self._rotor else self._Kt * state[:, 0]
 
     def step(
-        self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int
+        self,
+        state: FloatArray,
+        voltage_v: FloatArray,
+        step_s: float,
+        substeps: int,
+        further_load_nm: FloatArray | None = None,
     ) -> FloatArray:
         """Advance by `step_s` under a held voltage; return the new state, leave the given one.
 
@@ -153,23 +204,33 @@ class Plant:
             voltage_v: Armature voltage in V, held for the whole step; shape (motor,).
             step_s: Time to advance in s.
             substeps: Number of equal solver steps; `substeps_for` proposes one.
+            further_load_nm: Load torque beside the constant one in N m, held too; shape (motor,).
+                None: there is none.
 
         Raises:
             PlantError: The state became non-finite; it names the first such motor by its place.
         """
+        inner_v = self._inner_voltage(voltage_v)
+        load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         # An overflow becomes a named error below, so numpy's own warning would only repeat it.
         with np.errstate(over='ignore', invalid='ignore'):
             if len(self.motors) <= MOST_BY_NUMBERS:
                 after = np.array(
                     [
-                        integrate(self._derivative(motor, volt, math.tanh), row, step_s, substeps)
-                        for motor, volt, row in zip(
-                            self.motors, voltage_v.tolist(), state.tolist(), strict=True
+                        integrate(
+                            self._derivative(motor, volt, load, math.tanh), row, step_s, substeps
+                        )
+                        for motor, volt, load, row in zip(
+                            self.motors,
+                            inner_v.tolist(),
+                            load_nm.tolist(),
+                            state.tolist(),
+                            strict=True,
                         )
                     ]
                 )
             else:
-                derivative = self._derivative(self._columns, voltage_v, np.tanh)
+                derivative = self._derivative(self._columns, inner_v, load_nm, np.tanh)
                 columns = integrate(derivative, tuple(state.T), step_s, substeps)
                 after = np.stack(columns, axis=1)
         if not np.isfinite(after).all():
@@ -180,12 +241,23 @@ class Plant:
             )
         return after
 
-    def _derivative(self, motor: Any, voltage_v: Any, tanh: Callable[[Any], Any]) -> Derivative:
+    def _inner_voltage(self, voltage_v: FloatArray) -> FloatArray:
+        """Return the voltage in V that reaches the motor of the one that is published."""
+        if self._is_driver_ideal:
+            return voltage_v
+        size_v = np.maximum(np.abs(voltage_v) - self._dead_zone, 0.0)
+        inner_v: FloatArray = np.sign(voltage_v) * size_v - self._V0
+        return inner_v
+
+    def _derivative(
+        self, motor: Any, voltage_v: Any, load_nm: Any, tanh: Callable[[Any], Any]
+    ) -> Derivative:
         """Return the time derivative of a state under a voltage (equation 4.4 in thesis mode).
 
         Args:
             motor: Parameters of one motor, or arrays of those of all motors.
-            voltage_v: Its voltage, or theirs.
+            voltage_v: The voltage that reaches it, or them.
+            load_nm: Its load torque, or theirs.
             tanh: Of numbers, or of arrays.
         """
         L = motor.inductance
@@ -196,7 +268,8 @@ class Plant:
         V_b = motor.brush_drop
         J = motor.inertia
         b = motor.viscous_friction
-        T_c, T_load = motor.coulomb_friction, motor.load_torque
+        T_c = motor.coulomb_friction
+        lag_s = self.torque_lag_s
         has_brushes = self._brushes
 
         def current_rate(current: Any, speed: Any) -> Any:
@@ -210,9 +283,17 @@ class Plant:
 
         def rotor(current: Any, speed: Any) -> State:
             friction = b * speed + T_c * tanh(speed / FRICTION_SMOOTHING_RAD_S)
-            return current_rate(current, speed), (Kt * current - friction - T_load) / J
+            return current_rate(current, speed), (Kt * current - friction - load_nm) / J
 
-        return rotor if self._rotor else thesis
+        inner = rotor if self._rotor else thesis
+        if not lag_s > 0.0:
+            return inner
+
+        def with_sensor(*state: Any) -> State:
+            *inner_state, sensed_a = state
+            return *inner(*inner_state), (inner_state[0] - sensed_a) / lag_s
+
+        return with_sensor
 
     def substeps_for(
         self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float
@@ -227,12 +308,13 @@ class Plant:
         Raises:
             PlantError: More than `MAX_SUBSTEPS` would be needed.
         """
+        inner_v = self._inner_voltage(voltage_v)
         fastest = (
-            self._rotor_rate(state, voltage_v, step_s)
-            if self._rotor
-            else self._rate(state, voltage_v)
+            self._rotor_rate(state, inner_v, step_s) if self._rotor else self._rate(state, inner_v)
         )
         rate = STEPS_PER_TIME_CONSTANT * float(fastest.max())
+        if self.torque_lag_s > 0.0:
+            rate = max(rate, STEPS_PER_TIME_CONSTANT / self.torque_lag_s)
         if self._brushes:
             rate = max(rate, float((self._Vb / (BRUSH_SMOOTHING_A * self._L)).max()))
         if self._rotor:

@@ -23,6 +23,7 @@ class Purpose(IntEnum):
     VOLTAGE_NOISE = 1
     TORQUE_NOISE = 2
     SPEED_NOISE = 3
+    LOAD_WALK = 4
 
 
 def generator(seed: int, motor: int, purpose: Purpose) -> np.random.Generator:

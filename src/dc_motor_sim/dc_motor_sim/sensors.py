@@ -23,6 +23,9 @@ class SensorParameters:
     torque_noise_std: float = field(
         default=0.0, metadata=about('standard deviation of the white torque noise', 'N m', 0.0, 1e6)
     )
+    torque_offset: float = field(
+        default=0.0, metadata=about('what the torque sensor reads too high', 'N m', -1e6, 1e6)
+    )
     torque_quantisation: float = field(
         default=0.0, metadata=about('resolution of the torque sensor; 0 for none', 'N m', 0.0, 1e6)
     )
@@ -67,9 +70,10 @@ class Sensors:
     ) -> tuple[FloatArray, FloatArray]:
         """Return measured torque in N m and speed in rad/s of the next sample, shape (motor,) each.
 
-        Noise comes first, then the resolution, then the range, as in a real converter.
+        Offset and noise come first, then the resolution, then the range, as in a real converter.
         """
-        torque = _round(torque_nm + self._torque_noise.next(), self._parameters.torque_quantisation)
+        analogue_nm = torque_nm + self._parameters.torque_offset + self._torque_noise.next()
+        torque = _round(analogue_nm, self._parameters.torque_quantisation)
         if self._parameters.torque_limit > 0.0:
             torque = np.clip(torque, -self._parameters.torque_limit, self._parameters.torque_limit)
         speed = _round(speed_rad_s + self._speed_noise.next(), self._parameters.speed_quantisation)

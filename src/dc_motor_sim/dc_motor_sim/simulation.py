@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dc_motor_sim.errors import ConfigurationError
 from dc_motor_sim.excitation import Excitation, External, parse_excitation
 from dc_motor_sim.plant import Plant, PlantParameters
+from dc_motor_sim.random_streams import Purpose, WhiteNoise
 from dc_motor_sim.schedule import Schedule, parse_change
 from dc_motor_sim.sensors import SensorParameters, Sensors
 from dc_motor_sim.solver import FloatArray
@@ -76,6 +77,8 @@ class Simulation:
             noise-free torque. That is measured once, before the first sample, in a dry run of 60 s
             with the same seed, motors and excitation, at no more than 100 Hz; later changes of the
             motors do not change the noise.
+        torque_offset: What the torque sensor reads too high in N m.
+        torque_lag_s: Time constant of the torque sensor in s; 0: it reads the torque at once.
         torque_quantisation: Resolution of the torque sensor in N m; 0 for none.
         torque_limit: Torque at which the sensor saturates in N m; 0 for never.
         speed_noise_std: White noise of the speed sensor in rad/s.
@@ -100,6 +103,8 @@ class Simulation:
         voltage_noise_std: float = 0.0,
         torque_noise_std: float = 0.0,
         torque_noise_relative: float = 0.0,
+        torque_offset: float = 0.0,
+        torque_lag_s: float = 0.0,
         torque_quantisation: float = 0.0,
         torque_limit: float = 0.0,
         speed_noise_std: float = 0.0,
@@ -111,6 +116,7 @@ class Simulation:
         _require('solver_step_s', solver_step_s, 1e-6, 1.0)
         _require('voltage_noise_std', voltage_noise_std, 0.0, 1e4)
         _require('torque_noise_relative', torque_noise_relative, 0.0, 1e3)
+        _require('torque_lag_s', torque_lag_s, 0.0, 10.0)
         _require('command_timeout_s', command_timeout_s, 0.0, 1e9)
         if seed < 0:
             raise ConfigurationError(f'seed must not be negative; got {seed}')
@@ -119,7 +125,7 @@ class Simulation:
         self.motors = tuple(motors)
         self.period_ns = round(NANOSECONDS_PER_SECOND / sample_rate_hz)
         self._parameters = dict(motors)
-        self._plant = Plant(list(motors.values()), speed_mode)
+        self._plant = Plant(list(motors.values()), speed_mode, torque_lag_s)
         self._state = self._plant.initial_state()
         self._voltage_v: FloatArray = np.zeros(len(self.motors))
         self._start_ns = start_ns
@@ -137,6 +143,7 @@ class Simulation:
         self._schedule = Schedule([parse_change(text, motors) for text in schedule])
         sensors = SensorParameters(
             torque_noise_std=torque_noise_std,
+            torque_offset=torque_offset,
             torque_quantisation=torque_quantisation,
             torque_limit=torque_limit,
             speed_noise_std=speed_noise_std,
@@ -159,6 +166,7 @@ class Simulation:
             )
         self.torque_noise_std_nm = noise_nm  # shape: (motor,)
         self._sensors = Sensors(sensors, noise_nm, seed)
+        self._load_walk = LoadWalk(len(self.motors), seed)
 
     @property
     def parameters(self) -> Mapping[str, PlantParameters]:
@@ -185,7 +193,11 @@ class Simulation:
             raise ConfigurationError(
                 f'no motor {unknown_motors[0]!r}; motors: {", ".join(self.motors)}'
             )
-        plant = Plant(list({**self._parameters, **new_parameters}.values()), self._plant.speed_mode)
+        plant = Plant(
+            list({**self._parameters, **new_parameters}.values()),
+            self._plant.speed_mode,
+            self._plant.torque_lag_s,
+        )
         plant.substeps_for(
             self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s
         )
@@ -219,12 +231,13 @@ class Simulation:
             self._carry_out(due_changes)
         true_torque_nm = self._plant.torque_nm(self._state)
         torque_nm, speed_rad_s = self._sensors.measure(
-            true_torque_nm, self._plant.speed_rad_s(self._state)
+            self._plant.sensed_torque_nm(self._state), self._plant.speed_rad_s(self._state)
         )
         voltage_v = self._voltage_v = self._source.step()
         period_s = to_seconds(self.period_ns)
         substeps = self._plant.substeps_for(self._state, voltage_v, period_s, self._solver_step_s)
-        self._state = self._plant.step(self._state, voltage_v, period_s, substeps)
+        further_load_nm = self._load_walk.next(self._plant.load_walk, period_s)
+        self._state = self._plant.step(self._state, voltage_v, period_s, substeps, further_load_nm)
         self._sample += 1
         return Sample(
             self._start_ns + elapsed_ns, voltage_v, torque_nm, true_torque_nm, speed_rad_s
@@ -264,6 +277,37 @@ class Simulation:
         for motor, parameter, value in due_changes:
             new_parameters[motor] = replace(new_parameters[motor], **{parameter: value})
         self.set_parameters(new_parameters)
+
+
+class LoadWalk:
+    """The part of every motor's load torque that wanders, held over a sample.
+
+    Args:
+        motors: How many.
+        seed: Seed of the simulation.
+    """
+
+    def __init__(self, motors: int, seed: int) -> None:
+        self._load_nm: FloatArray = np.zeros(motors)
+        self._seed = seed
+        self._steps: WhiteNoise | None = None
+
+    def next(self, walk: FloatArray, period_s: float) -> FloatArray | None:
+        """Go on by one sample.
+
+        Args:
+            walk: Standard deviation after one second in N m; shape (motor,).
+            period_s: Sample period in s.
+
+        Returns:
+            Load torques in N m, shape (motor,); None where none has ever wandered.
+        """
+        if self._steps is None:
+            if not walk.any():
+                return None
+            self._steps = WhiteNoise(self._seed, Purpose.LOAD_WALK, np.ones(walk.size))
+        self._load_nm = self._load_nm + walk * math.sqrt(period_s) * self._steps.next()
+        return self._load_nm
 
 
 def _require(name: str, value: float, low: float, high: float) -> None:

@@ -101,6 +101,15 @@ class NodeParameters:
             1e3,
         ),
     )
+    torque_offset: float = field(
+        default=0.0, metadata=about('what the torque sensor reads too high', 'N m', -1e6, 1e6)
+    )
+    torque_lag_s: float = field(
+        default=0.0,
+        metadata=about(
+            'time constant of the torque sensor, first order; 0: reads at once', 's', 0.0, 10.0
+        ),
+    )
     torque_quantisation: float = field(
         default=0.0, metadata=about('resolution of the torque sensor; 0 for none', 'N m', 0.0, 1e6)
     )
@@ -183,6 +192,8 @@ class Settings:
             voltage_noise_std=node.voltage_noise_std,
             torque_noise_std=node.torque_noise_std,
             torque_noise_relative=node.torque_noise_relative,
+            torque_offset=node.torque_offset,
+            torque_lag_s=node.torque_lag_s,
             torque_quantisation=node.torque_quantisation,
             torque_limit=node.torque_limit,
             speed_noise_std=node.speed_noise_std,
