@@ -15,6 +15,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.bag.writer import BagWriter
+from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.identify.offline_run import Outcome, run
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.ros_parameter_file import flatten
@@ -145,6 +146,15 @@ def duty_and_battery(now: Moment) -> list[Row]:
     return rows
 
 
+def dead_zone(now: Moment) -> list[Row]:
+    kind = 'sensor_msgs/msg/JointState'
+    command_v = now.voltage_v + float(np.sign(now.voltage_v)) * 0.8
+    return [
+        ('/command', kind, joint_state(now, command_v, [])),
+        ('/joint_states', kind, joint_state(now, now.current_a, [now.speed_rad_s])),
+    ]
+
+
 def vesc(now: Moment) -> list[Row]:
     state = {
         'temp_motor': 40.0,
@@ -205,6 +215,7 @@ ROBOTS: list[Callable[[Moment], list[Row]]] = [
     joint_states,
     dynamic_joint_states,
     duty_and_battery,
+    dead_zone,
     vesc,
     odrive,
     roboclaw,
@@ -283,6 +294,52 @@ def test_an_odrive_whose_bus_and_current_come_apart_is_a_misfit(
     bag = record(tmp_path / 'bag', odrive, recording, late_ns={'/odrive_status': 300_000})
     estimate = observe(bag, 'odrive').observer.estimates()['wheel']
     assert {str(verdict.value) for verdict in estimate.verdicts[0]} == {'misfit'}
+
+
+def test_a_dead_zone_is_found_by_adding_what_is_named(tmp_path: Path) -> None:
+    plant = PlantParameters(
+        inductance=0.01,
+        resistance=2.0,
+        hysteresis=0.0,
+        torque_constant=KT,
+        back_emf_constant=0.0,
+        dead_zone=1.0,
+    )
+    recording = Simulation(
+        {'wheel': plant}, 'R[-12,12]D[0.05,0.5]', seed=1, sample_rate_hz=1000.0,
+        torque_noise_relative=0.01,
+    ).record(6.0)  # fmt: skip
+    page = parameters('dead_zone')
+    options = {
+        **page,
+        'predictor': False,
+        'wheel.back_emf_constant': 0.0,
+        'wheel.context_nodes': ['inductance', 'resistance'],
+    }
+    kind = 'sensor_msgs/msg/JointState'
+    shape = page['voltage.expression']
+
+    def said(now: Moment) -> list[Row]:
+        return [
+            ('/command', kind, joint_state(now, now.voltage_v, [])),
+            ('/joint_states', kind, joint_state(now, now.current_a, [])),
+        ]
+
+    bag = record(tmp_path / 'bag', said, recording)
+    lost_v = 0.0
+    for _ in range(3):
+        expression = shape.replace('0.8', f'{lost_v:.3f}')
+        flat = {**options, 'voltage.expression': expression}
+        outcome = run([bag], Configuration.from_flat(flat), None)
+        fit = outcome.observer.motors['wheel'].fit
+        if fit.verdict is not FitVerdict.MISFIT:
+            break
+        remedies = {suspect.effect: suspect.remedy for suspect in fit.suspects}
+        lost_v += float(re.findall(r'take ([0-9.]+) V', remedies['dead_zone'])[0])
+    assert fit.verdict is FitVerdict.OK
+    assert lost_v == pytest.approx(1.0, abs=0.02)
+    estimate = outcome.observer.estimates()['wheel']
+    assert estimate.value[0] == pytest.approx([0.01, 2.0], rel=0.01)
 
 
 def test_every_file_of_the_page_is_tried() -> None:

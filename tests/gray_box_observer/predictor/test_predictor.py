@@ -12,7 +12,7 @@ import torch
 from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.predictor import Forecasting, Predictor, TrainingSettings, Variant
 from gray_box_observer.predictor import predictor as predictor_module
 from gray_box_observer.predictor.elementwise import Floats
@@ -285,6 +285,27 @@ def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
     said = run(one, some)[0]
     assert np.all(said[1:] >= 0.0)
     assert said[1:].max() <= max(s.torque_nm[0] for s in some) * 1.01
+
+
+@pytest.mark.parametrize('variant', [Variant.PHYSICS, Variant.MAIN])
+def test_a_part_of_a_network_is_refused(
+    thesis_box: MotorWhiteBox, idle: Any, variant: Variant
+) -> None:
+    """Without its first array another network ran on, or none, as if there had been none."""
+    rules = TrainingSettings(variant=variant)
+    is_physics = variant is Variant.PHYSICS
+    inputs = 5 if is_physics else 1 + TRUTH.size
+    arrays = Weights.initial(inputs, rules.hidden, 0).arrays()
+    if not is_physics:
+        arrays |= {f'range_{name}': np.array([-1.0, 1.0]) for name in ('voltage', 'torque')}
+    whole, parts = (predictor(thesis_box, idle, rules=rules).predictor for _ in range(2))
+    whole.restore(arrays)
+    assert whole.state().keys() == arrays.keys()
+    before = parts.state()
+    for missing in arrays:
+        with pytest.raises(GrayBoxError):
+            parts.restore({name: array for name, array in arrays.items() if name != missing})
+        np.testing.assert_equal(parts.state(), before)
 
 
 def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(

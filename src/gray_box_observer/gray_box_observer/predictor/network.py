@@ -118,6 +118,11 @@ _UNDERFLOW = 1e-12
 """Of a mean whose square single precision cannot hold."""
 
 
+def has_weights(arrays: Mapping[str, Any]) -> bool:
+    """Tell whether some arrays hold a network, or a part of one: :func:`check_weights` tells."""
+    return not _shapes(1, 1).keys().isdisjoint(arrays)
+
+
 def check_weights(
     arrays: Mapping[str, Any], inputs: int | None = None, prefix: str = ''
 ) -> tuple[int, int]:

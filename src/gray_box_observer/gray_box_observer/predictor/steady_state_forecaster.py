@@ -9,7 +9,15 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import ForecastRequest
-from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, check_weights, step
+from gray_box_observer.predictor.network import (
+    Mask,
+    Memory,
+    Weights,
+    advance,
+    check_weights,
+    has_weights,
+    step,
+)
 from gray_box_observer.predictor.steady_state import INPUTS, Course, after, relaxation
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -125,7 +133,7 @@ class RelaxingForecaster:
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back the network, if there was one."""
-        if 'input' not in arrays:
+        if not has_weights(arrays):
             return
         if any(name.startswith('range_') for name in arrays):
             raise ConfigurationError(

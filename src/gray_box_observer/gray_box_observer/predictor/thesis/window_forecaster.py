@@ -8,7 +8,14 @@ import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.forecaster import ForecastRequest
-from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
+from gray_box_observer.predictor.network import (
+    Mask,
+    Memory,
+    Weights,
+    check_weights,
+    has_weights,
+    step,
+)
 from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation, saved_ranges
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
@@ -78,9 +85,10 @@ class WindowForecaster:
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back the network and its ranges, if there were any."""
-        if 'input' not in arrays:
+        has_ranges = any(name.startswith('range_') for name in arrays)
+        if not has_weights(arrays) and not has_ranges:
             return
-        if not any(name.startswith('range_') for name in arrays):
+        if not has_ranges:
             raise ConfigurationError(
                 'the checkpoint holds the network of variant physics, expected one of the thesis: '
                 'see variant'
