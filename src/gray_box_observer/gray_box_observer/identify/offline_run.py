@@ -222,6 +222,8 @@ def _feed(
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome.warnings)
     message_input = outcome.message_input
+    ingest_message = message_input.ingest
+    results_of = outcome.observer.results
     count = 0
     for raw, message in _decode_messages(bag, signals, message_input.max_message_bytes):
         if message is None:
@@ -232,8 +234,8 @@ def _feed(
                 )
             continue
         for signal, topic in signals[raw.topic]:
-            for result in message_input.ingest(signal, message, raw.publish_time_ns, topic).groups:
-                ingest(outcome.observer.results(result))
+            for result in ingest_message(signal, message, raw.publish_time_ns, topic).groups:
+                ingest(results_of(result))
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)

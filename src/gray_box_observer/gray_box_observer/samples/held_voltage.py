@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gray_box_observer.samples.rhythm import Rhythm
+from gray_box_observer.samples.rhythm import LATE, Rhythm
 from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND, nanoseconds, seconds
 
 MAX_WAITING_VOLTAGES = 10_000
@@ -135,9 +135,11 @@ class HeldVoltage:
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
-            has_loss = rhythm.loses((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND)
-            if has_loss is not False and np.any(has_loss):
-                loss = self._loss(voltage_v, has_loss)
+            is_usual = self._told_ns is self.newest_ns and not interval_s > LATE * rhythm.usual_s
+            if not is_usual:  # else none was lost: mostly so
+                has_loss = rhythm.loses((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND)
+                if has_loss is not False and np.any(has_loss):
+                    loss = self._loss(voltage_v, has_loss)
             rhythm.update(interval_s)
         self.newest_ns = stamp_ns
         told_ns = stamp_ns if is_missing is None else np.where(is_missing, self._told_ns, stamp_ns)
@@ -222,9 +224,10 @@ class HeldVoltage:
             The voltage in force before the stamp, and one that begins there; blank where there is
             none.
         """
-        while self._future_voltages and self._future_voltages[0][0] < stamp_ns:
+        future_voltages = self._future_voltages
+        while future_voltages and future_voltages[0][0] < stamp_ns:
             self._hold_next()
         if is_lost:
             self._held_v = self._blank
-        begins = bool(self._future_voltages) and self._future_voltages[0][0] == stamp_ns
-        return self._held_v, self._future_voltages[0][1] if begins else self._blank
+        begins = bool(future_voltages) and future_voltages[0][0] == stamp_ns
+        return self._held_v, future_voltages[0][1] if begins else self._blank
