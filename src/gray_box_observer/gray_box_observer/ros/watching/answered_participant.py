@@ -26,11 +26,11 @@ from gray_box_observer.watching.observer_state import MOST_OBSERVERS
 ANSWER_S = 0.3
 """Within which the latched estimates come of an observer that has answered: 0.15 s mostly."""
 
-PAUSE_S = 0.03
-"""Between two participants."""
+PAUSE_S = 0.1
+"""Between two participants: each costs the observer some milliseconds."""
 
-MOST_PARTICIPANTS = 24
-"""Where no observer runs, they take 1 s."""
+MOST_PARTICIPANTS = 12
+"""Where no observer runs, they take 1.4 s."""
 
 MOST_SILENT = 2
 """Participants after which an observer that is known need not have told anything: it may have
