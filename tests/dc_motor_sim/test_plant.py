@@ -115,6 +115,22 @@ def test_a_sensor_that_lags_reads_the_torque_filtered(mode):
     )
 
 
+def test_a_sensor_that_lags_does_not_jump_with_the_torque_constant():
+    slow = Plant([THESIS], 'thesis', 5.0)
+    state = run(slow, 10.0, 1.0)
+    stronger = Plant([replace(THESIS, torque_constant=0.05)], 'thesis', 5.0)
+    assert stronger.sensed_torque_nm(state) == slow.sensed_torque_nm(state)
+
+
+def test_the_solver_is_as_fine_as_the_load_that_walks_asks():
+    constant = Plant([replace(THESIS, load_torque=30.0)], 'rotor')
+    state = np.array([[5.0, 0.0]])
+    volts = np.array([1.0])
+    walk_nm = np.array([30.0])
+    substeps = Plant([THESIS], 'rotor').substeps_for(state, volts, 0.1, 0.01, walk_nm)
+    assert substeps == constant.substeps_for(state, volts, 0.1, 0.01) > 100
+
+
 def test_the_solver_is_as_fine_as_the_lag_asks():
     state = Plant([THESIS], 'thesis', 1e-3).initial_state()
     assert Plant([THESIS], 'thesis', 1e-3).substeps_for(state, np.array([1.0]), 0.01, 0.01) == 100

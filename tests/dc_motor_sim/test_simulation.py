@@ -200,7 +200,9 @@ def test_a_sensor_that_lags_leaves_the_true_torque_as_it_is():
         np.abs(lagging.torque_nm[0, 50:] - nm[50:]).mean() for nm in (late_nm, prompt.torque_nm[0])
     ]
     assert off_nm[0] < 0.2 * off_nm[1]
-    with pytest.raises(ConfigurationError, match=r'^torque_lag_s must be from 0 to 10; got -1$'):
+    with pytest.raises(
+        ConfigurationError, match=r'^torque_lag_s must be from 1e-06 to 10; got -1$'
+    ):
         simulation(torque_lag_s=-1.0)
 
 
@@ -221,3 +223,18 @@ def test_a_walk_that_begins_later_begins_at_the_load_that_was():
     assert not speed[:100].any()
     assert np.abs(np.diff(speed)).max() < 0.5
     assert speed[101:].any()
+
+
+def test_the_walk_of_one_motor_is_the_same_whatever_another_does():
+    def speeds(other_walk):
+        motors = {'a': replace(THESIS, load_walk=other_walk), 'b': THESIS}
+        schedule = ['b.load_walk=0.5@0.5']
+        options = {'speed_mode': 'rotor', 'seed': 2, 'schedule': schedule}
+        return Simulation(motors, 'C[0]', **options).record(1.5).speed_rad_s[1]
+
+    assert speeds(0.1).tolist() == speeds(0.0).tolist()
+
+
+def test_a_lag_too_short_to_be_one_is_refused():
+    with pytest.raises(ConfigurationError, match=r'^torque_lag_s must be from 1e-06 to 10; got'):
+        simulation(torque_lag_s=1e-320)

@@ -6,7 +6,7 @@
     rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - T_load
 
 The driver gives ``V_d = sign(V) max(|V| - dead zone, 0)`` of the voltage V that is published. Where
-the sensor lags, what it reads is a state too: ``lag dy/dt = i - y``.
+the sensor lags, the torque that it reads is a state too: ``lag dT_s/dt = T - T_s``.
 
 The thesis writes the hysteresis voltage of its mode as `K_HS Kt i^2`, which would feed energy into
 a motor whose current is negative; `K_HS |w| i` is the same for positive current and dissipates in
@@ -118,7 +118,7 @@ class Plant:
     """Motors with fixed parameters; the state goes in and comes out, nothing is remembered.
 
     State: shape (motor, 1) holding the current in A in thesis mode, (motor, 2) holding current in A
-    and speed in rad/s in rotor mode; of a sensor that lags, one more for the current in A that it
+    and speed in rad/s in rotor mode; of a sensor that lags, one more for the torque in N m that it
     reads. Voltages, torques and speeds: shape (motor,).
 
     Args:
@@ -183,7 +183,7 @@ class Plant:
 
     def sensed_torque_nm(self, state: FloatArray) -> FloatArray:
         """Return the torque in N m that reaches the sensor, which may lag."""
-        return self._Kt * state[:, -1] if self.torque_lag_s > 0.0 else self.torque_nm(state)
+        return state[:, -1].copy() if self.torque_lag_s > 0.0 else self.torque_nm(state)
 
     def speed_rad_s(self, state: FloatArray) -> FloatArray:
         """Return the shaft speed in rad/s."""
@@ -290,27 +290,35 @@ class Plant:
             return inner
 
         def with_sensor(*state: Any) -> State:
-            *inner_state, sensed_a = state
-            return *inner(*inner_state), (inner_state[0] - sensed_a) / lag_s
+            *inner_state, sensed_nm = state
+            return *inner(*inner_state), (Kt * inner_state[0] - sensed_nm) / lag_s
 
         return with_sensor
 
     def substeps_for(
-        self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float
+        self,
+        state: FloatArray,
+        voltage_v: FloatArray,
+        step_s: float,
+        solver_step_s: float,
+        further_load_nm: FloatArray | None = None,
     ) -> int:
         """Number of equal solver steps within `step_s` that is accurate and stable.
 
         A solver step is at most `solver_step_s` and at most a tenth of the shortest time constant:
-        the electrical one at the present state and at the one that the voltage drives to, and in
-        rotor mode the mechanical ones. The smoothed signs are stiff near zero; there the step only
-        has to stay well inside the stability limit.
+        the electrical one at the present state and at the one that the voltage drives to, that of
+        the sensor, and in rotor mode the mechanical ones. The smoothed signs are stiff near zero;
+        there the step only has to stay well inside the stability limit.
 
         Raises:
             PlantError: More than `MAX_SUBSTEPS` would be needed.
         """
         inner_v = self._inner_voltage(voltage_v)
+        load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         fastest = (
-            self._rotor_rate(state, inner_v, step_s) if self._rotor else self._rate(state, inner_v)
+            self._rotor_rate(state, inner_v, load_nm, step_s)
+            if self._rotor
+            else self._rate(state, inner_v)
         )
         rate = STEPS_PER_TIME_CONSTANT * float(fastest.max())
         if self.torque_lag_s > 0.0:
@@ -340,10 +348,12 @@ class Plant:
         rate: FloatArray = np.maximum(final, r + 2.0 * k * np.abs(state[:, 0])) / self._L
         return rate
 
-    def _rotor_rate(self, state: FloatArray, voltage_v: FloatArray, step_s: float) -> FloatArray:
+    def _rotor_rate(
+        self, state: FloatArray, voltage_v: FloatArray, load_nm: FloatArray, step_s: float
+    ) -> FloatArray:
         """Bound on the fastest electrical or mechanical rate in the coming step, 1/s, (motor,)."""
         current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
-        torque = self._Kt * current + np.abs(self._Tl)
+        torque = self._Kt * current + np.abs(load_nm)
         speed_gain = torque / np.maximum(
             self._J / step_s, self._b
         )  # inertia or friction, whichever limits more

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from dc_motor_sim.errors import ConfigurationError
 from dc_motor_sim.excitation import Excitation, External, parse_excitation
 from dc_motor_sim.plant import Plant, PlantParameters
-from dc_motor_sim.random_streams import Purpose, WhiteNoise
+from dc_motor_sim.random_streams import Purpose, generator
 from dc_motor_sim.schedule import Schedule, parse_change
 from dc_motor_sim.sensors import SensorParameters, Sensors
 from dc_motor_sim.solver import FloatArray
 from dc_motor_sim.stamps import NANOSECONDS_PER_SECOND, to_seconds
 from dc_motor_sim.voltage_source import VoltageSource
+
+SHORTEST_LAG_S = 1e-6
+"""Time constant of a torque sensor that lags at all."""
 
 SPREAD_DURATION_S = 60.0
 SPREAD_RATE_HZ = 100.0
@@ -78,7 +81,8 @@ class Simulation:
             with the same seed, motors and excitation, at no more than 100 Hz; later changes of the
             motors do not change the noise.
         torque_offset: What the torque sensor reads too high in N m.
-        torque_lag_s: Time constant of the torque sensor in s; 0: it reads the torque at once.
+        torque_lag_s: Time constant of the torque sensor in s, from 1e-6 on; 0: it reads the torque
+            at once.
         torque_quantisation: Resolution of the torque sensor in N m; 0 for none.
         torque_limit: Torque at which the sensor saturates in N m; 0 for never.
         speed_noise_std: White noise of the speed sensor in rad/s.
@@ -116,7 +120,8 @@ class Simulation:
         _require('solver_step_s', solver_step_s, 1e-6, 1.0)
         _require('voltage_noise_std', voltage_noise_std, 0.0, 1e4)
         _require('torque_noise_relative', torque_noise_relative, 0.0, 1e3)
-        _require('torque_lag_s', torque_lag_s, 0.0, 10.0)
+        if torque_lag_s != 0.0:
+            _require('torque_lag_s', torque_lag_s, SHORTEST_LAG_S, 10.0)
         _require('command_timeout_s', command_timeout_s, 0.0, 1e9)
         if seed < 0:
             raise ConfigurationError(f'seed must not be negative; got {seed}')
@@ -235,8 +240,10 @@ class Simulation:
         )
         voltage_v = self._voltage_v = self._source.step()
         period_s = to_seconds(self.period_ns)
-        substeps = self._plant.substeps_for(self._state, voltage_v, period_s, self._solver_step_s)
         further_load_nm = self._load_walk.next(self._plant.load_walk, period_s)
+        substeps = self._plant.substeps_for(
+            self._state, voltage_v, period_s, self._solver_step_s, further_load_nm
+        )
         self._state = self._plant.step(self._state, voltage_v, period_s, substeps, further_load_nm)
         self._sample += 1
         return Sample(
@@ -282,6 +289,8 @@ class Simulation:
 class LoadWalk:
     """The part of every motor's load torque that wanders, held over a sample.
 
+    The walk of a motor begins with the first sample at which it has one, whatever others do.
+
     Args:
         motors: How many.
         seed: Seed of the simulation.
@@ -290,7 +299,7 @@ class LoadWalk:
     def __init__(self, motors: int, seed: int) -> None:
         self._load_nm: FloatArray = np.zeros(motors)
         self._seed = seed
-        self._steps: WhiteNoise | None = None
+        self._streams: dict[int, np.random.Generator] = {}
 
     def next(self, walk: FloatArray, period_s: float) -> FloatArray | None:
         """Go on by one sample.
@@ -302,11 +311,15 @@ class LoadWalk:
         Returns:
             Load torques in N m, shape (motor,); None where none has ever wandered.
         """
-        if self._steps is None:
-            if not walk.any():
-                return None
-            self._steps = WhiteNoise(self._seed, Purpose.LOAD_WALK, np.ones(walk.size))
-        self._load_nm = self._load_nm + walk * math.sqrt(period_s) * self._steps.next()
+        walkers = np.flatnonzero(walk).tolist()
+        if not walkers and not self._streams:
+            return None
+        self._load_nm = self._load_nm.copy()
+        for motor in walkers:
+            if motor not in self._streams:
+                self._streams[motor] = generator(self._seed, motor, Purpose.LOAD_WALK)
+            step = self._streams[motor].standard_normal()
+            self._load_nm[motor] += walk[motor] * math.sqrt(period_s) * step
         return self._load_nm
 
 

@@ -335,7 +335,7 @@ def test_a_dead_zone_is_found_by_adding_what_is_named(tmp_path: Path) -> None:
         if fit.verdict is not FitVerdict.MISFIT:
             break
         remedies = {suspect.effect: suspect.remedy for suspect in fit.suspects}
-        lost_v += float(re.findall(r'take ([0-9.]+) V', remedies['dead_zone'])[0])
+        lost_v += float(re.findall(r'take a further ([0-9.]+) V', remedies['dead_zone'])[0])
     assert fit.verdict is FitVerdict.OK
     assert lost_v == pytest.approx(1.0, abs=0.02)
     estimate = outcome.observer.estimates()['wheel']

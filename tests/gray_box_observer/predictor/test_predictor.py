@@ -306,6 +306,8 @@ def test_a_part_of_a_network_is_refused(
         with pytest.raises(GrayBoxError):
             parts.restore({name: array for name, array in arrays.items() if name != missing})
         np.testing.assert_equal(parts.state(), before)
+    with pytest.raises(GrayBoxError):  # a network of the thesis that has lost all of it
+        parts.restore({'range_voltage': np.array([-1.0, 1.0])})
 
 
 def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(

@@ -1,8 +1,8 @@
 """Work in pieces: what a fit costs is spread over the samples that follow, by their number.
 
-A piece says how much work it was, in units of about a third of a microsecond; 0 where that counts
-with the next one. A :class:`WorkBudget` grants every sample its share, never by a clock, so that
-every door leads to the same results at the same sample.
+A piece says how much work it was, in units of about a third of a microsecond; 0 where its work is
+counted with another one. A :class:`WorkBudget` grants every sample its share, never by a clock, so
+that every door leads to the same results at the same sample.
 """
 
 from __future__ import annotations

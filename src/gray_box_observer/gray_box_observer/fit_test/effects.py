@@ -214,8 +214,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'dead_zone',
             _dead_zone,
-            'publish the voltage at the terminals instead of the command, or take {amount:.3g} V '
-            'off it as docs/ROBOTS.md shows: the driver does',
+            'publish the voltage at the terminals instead of the command, or take a further '
+            '{amount:.3g} V off it as docs/ROBOTS.md shows: the driver does',
             credible=(0.0, math.inf),
             largest_share=0.5,
         ),

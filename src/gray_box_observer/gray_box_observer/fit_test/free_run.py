@@ -141,7 +141,6 @@ def free_run_in_pieces(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> 
         maps = linearise(white_box, p, stretch, np.clip(about, -limit, limit))
         yield 0
         path = follow(maps, stretch, start, without_correction)
-        yield 0
         residual = stretch.state - path.state
         kicks = _kicks(path, residual, stretch) if attempt == 0 else None
         if kicks is not None:

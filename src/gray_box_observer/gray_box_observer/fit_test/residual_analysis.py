@@ -62,7 +62,7 @@ LAGS = 20
 CREDIBLE = 6.0
 """Standard deviations beyond which a residual counts for no more: an outlier is not a misfit."""
 
-RESPONSES = 6
+RESPONSES = 8
 """Responses to effects, or effects, that are dealt with in one piece."""
 
 LIKELY = 10.0
@@ -227,7 +227,6 @@ def analysis_in_pieces(
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
-    yield 0
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
     base = np.column_stack([run.jacobian, *run.further])
@@ -248,7 +247,6 @@ def analysis_in_pieces(
     theta = to_parameters(p)[0]
     yield work
     responses_a = stamp_responses(run)
-    yield 0
     window = {
         **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
         **voltage_variances(run),
@@ -259,7 +257,6 @@ def analysis_in_pieces(
     input_evidence = earlier.with_window(window, count, new_count)
     delay, lead = stamp_errors(projection, responses_a, input_evidence)
     variances = {name: input_evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
-    yield 0
     least_squares = {}
     if not white_box.has_rotor:
         least_squares = least_squares_of(white_box, theta, projection, noise_a, robust_std)

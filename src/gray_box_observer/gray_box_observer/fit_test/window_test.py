@@ -273,7 +273,6 @@ class WindowTest:
         content = np.ascontiguousarray(motor.newest(count))
         samples = content[:, 0]
         window = SampleWindow.of_content(white_box, content)
-        yield 0
         is_drifting = motor.is_drifting
         # samples may be absurd; what is not finite is a misfit
         analysis = yield from without_warnings(

@@ -133,13 +133,13 @@ class RelaxingForecaster:
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back the network, if there was one."""
-        if not has_weights(arrays):
-            return
         if any(name.startswith('range_') for name in arrays):
             raise ConfigurationError(
                 'the checkpoint holds a network of the thesis, expected variant physics: see '
                 'variant'
             )
+        if not has_weights(arrays):
+            return
         check_weights(arrays)
         self._run(Weights.from_arrays(arrays, self._weights.hidden, INPUTS))
         self._memory = self._blank()
