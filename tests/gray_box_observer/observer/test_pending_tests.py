@@ -10,6 +10,7 @@ import pytest
 
 from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate
 from gray_box_observer.delay import DelayEstimate, DelayRound
+from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
 
@@ -188,3 +189,20 @@ def test_giving_up_leaves_nothing() -> None:
     assert not bench.tests.is_waiting
     assert bench.tests.later_result() is None
     assert bench.run() == []
+
+
+def test_a_test_of_many_pieces_is_done_before_the_next_estimate_of_the_default_block() -> None:
+    work = iter(range(46))
+
+    def pieces() -> Any:
+        for piece in work:
+            yield piece
+        return 'result'
+
+    test = DeferredFitTest(pieces())
+    for _ in range(31):
+        test.begin_sample()
+        test.advance()
+        test.advance()
+    assert next(work, None) is None, 'nothing holds the estimate up'
+    assert test.result() == 'result'

@@ -124,7 +124,10 @@ def test_the_first_participant_that_the_observers_have_answered_is_held(
     assert not made[-1].is_shut_down, 'nodes were made in it'
 
 
-def test_a_participant_may_be_answered_after_later_ones_were_made(participants: Make) -> None:
+def test_a_participant_may_be_answered_after_later_ones_were_made(
+    participants: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answered_participant, 'ANSWER_S', 60.0)
     made = participants(lambda _: Participant(()))
 
     def answer() -> bool:

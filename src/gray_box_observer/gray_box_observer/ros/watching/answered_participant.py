@@ -79,29 +79,34 @@ def _answered_search(
     is_end_requested: Callable[[], bool],
     searches: list[_Search],
 ) -> _Search:
-    """Add searches to a list until one has heard, or there is no use; return the best of them."""
+    """Add searches to a list until one has heard, or there is no use; return the best of them.
+
+    One whose time is over is given back, unless it is the best: in the range of this host the
+    middleware announces itself to 32 participants only.
+    """
     begin_s = time.monotonic()
+    made_count = silent_count = 0
     while True:
         now_s = time.monotonic()
-        is_due = now_s >= begin_s + PAUSE_S * len(searches)
+        is_due = now_s >= begin_s + PAUSE_S * made_count
         is_early = now_s < begin_s + LONGEST_S
-        if is_due and is_early and len(searches) < MOST_PARTICIPANTS:
+        if is_due and is_early and made_count < MOST_PARTICIPANTS:
             node = _listening_node(args)  # which takes long on a busy machine
             now_s = time.monotonic()
             searches.append(_Search(node, observers, now_s + ANSWER_S))
-        open_searches = [search for search in searches if now_s < search.end_s]
-        for search in open_searches:
+            made_count += 1
+        for search in searches:
             search.look()
-        silent_count = sum(search.has_found for search in searches if now_s >= search.end_s)
-        if (
-            any(search.has_heard for search in open_searches)
-            or silent_count >= MOST_SILENT
-            or not open_searches
-            or is_end_requested()
-        ):
-            for search in searches:
-                search.look()  # an early one may have been answered late
-            return max(searches, key=_Search.progress)
+        best = max(searches, key=_Search.progress)
+        for search in [one for one in searches if now_s >= one.end_s]:
+            silent_count += search.has_found and not search.is_over
+            search.is_over = True
+            if search is not best:
+                searches.remove(search)
+                search.close()
+        is_idle = all(search.is_over for search in searches)
+        if best.has_heard or silent_count >= MOST_SILENT or is_idle or is_end_requested():
+            return best
         time.sleep(LOOK_S)
 
 
@@ -126,11 +131,13 @@ class _Search:
 
     Attributes:
         node, end_s: as above.
+        is_over: whether that time is over.
     """
 
     def __init__(self, node: Node, observers: Sequence[str], end_s: float) -> None:
         self.node = node
         self.end_s = end_s
+        self.is_over = False
         self._observers = frozenset(observers)
         self._subscriptions: dict[str, Subscription] = {}
         self._heard: set[str] = set()
