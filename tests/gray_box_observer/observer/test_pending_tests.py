@@ -195,8 +195,7 @@ def test_a_test_of_many_pieces_is_done_before_the_next_estimate_of_the_default_b
     work = iter(range(46))
 
     def pieces() -> Any:
-        for piece in work:
-            yield piece
+        yield from work
         return 'result'
 
     test = DeferredFitTest(pieces())
