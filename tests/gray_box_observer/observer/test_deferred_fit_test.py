@@ -18,7 +18,7 @@ from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
 from gray_box_observer.observer.builder import context_nodes
-from gray_box_observer.observer.deferred_fit_test import DeferredFitTest
+from gray_box_observer.observer.deferred_fit_test import ALONE, DeferredFitTest
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
@@ -234,13 +234,16 @@ def test_its_pieces_are_done_behind_samples_and_none_is_left_for_the_next_estima
     signals: tuple[np.ndarray, np.ndarray],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    places: list[int] = []
+    tests: list[list[int]] = []
     pieces_of = WindowTest.pieces
 
     def pieces(test: WindowTest, motor: MotorUnderTest, count: int) -> Pieces[FitResult]:
         work = pieces_of(test, motor, count)
+        places: list[int] = []
+        if has_passed:
+            tests.append(places)
         while True:
-            places.append(k if has_passed else -1)
+            places.append(k)
             try:
                 size = next(work)
             except StopIteration as end:
@@ -255,9 +258,13 @@ def test_its_pieces_are_done_behind_samples_and_none_is_left_for_the_next_estima
         has_passed = observer.fit('motor').verdict is FitVerdict.OK
         if k > 0:
             observer_of(observer).retested()
-    later = [place for place in places if place > 300]
-    assert len(later) > 8
-    assert len(set(later)) == len(later), 'one a sample'
+    assert len(tests) > 2
+    assert max(len(places) for places in tests) > ALONE
+    for places in tests:
+        first = places[0]
+        one_each = [first + turn for turn in range(ALONE)]
+        two_each = [first + ALONE + turn // 2 for turn in range(len(places))]
+        assert places == (one_each + two_each)[: len(places)]
 
 
 def test_freezing_lets_it_count(
