@@ -54,6 +54,7 @@ class _Layout(NamedTuple):
     """Offsets in messages that agree in length, byte order, frame, names and array lengths.
 
     Attributes:
+        size: bytes of the whole message.
         encapsulation: the first two bytes.
         prefix: frame and names.
         prefix_end: where they end.
@@ -64,6 +65,7 @@ class _Layout(NamedTuple):
         arrays: where the values of every array stand among the numbers.
     """
 
+    size: int
     encapsulation: bytes
     prefix: bytes
     prefix_end: int
@@ -74,7 +76,13 @@ class _Layout(NamedTuple):
     arrays: tuple[slice, slice, slice]
 
     def view(self, data: bytes) -> JointStateView | None:
-        """The message's content, or None if its arrays have other lengths than this layout."""
+        """The message's content, or None if it does not agree with this layout."""
+        if not (
+            len(data) == self.size
+            and data[_PREFIX_START : self.prefix_end] == self.prefix
+            and data[:2] == self.encapsulation
+        ):
+            return None
         flat = self.numbers.unpack_from(data)
         if self.counts_of(flat) != self.counts:
             return None
@@ -114,23 +122,27 @@ class JointStateDecoder:
         self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(
             _MAX_LAYOUTS, _MAX_LAYOUT_BYTES
         )
+        self._newest_layout: _Layout | None = None  # mostly that of the next message too
 
     def __call__(self, data: bytes) -> JointStateView:
         """Decode one message; the same as `decode_joint_state`."""
+        layout = self._newest_layout
+        view = None if layout is None else layout.view(data)
+        return self._other_view(data) if view is None else view
+
+    def _other_view(self, data: bytes) -> JointStateView:
+        """The content of a message that has another layout than the one before."""
         # Length and first names find a candidate; the candidate is then compared in full.
         key = (len(data), data[12:48])
         layout = self._layouts.get(key)
-        if (
-            layout is not None
-            and data[12 : layout.prefix_end] == layout.prefix
-            and data[:2] == layout.encapsulation
-        ):
-            view = layout.view(data)
-            if view is not None:
-                return view
+        view = None if layout is None else layout.view(data)
+        if view is not None:
+            self._newest_layout = layout
+            return view
         layout = _layout(data)
         view = _first_view(layout, data)
         if len(layout.names) <= MAX_NAMES and layout.prefix_end <= MAX_LETTERS:
+            self._newest_layout = layout
             self._layouts.remember(key, layout, layout.prefix_end + size_of_names(layout.names))
         return view
 
@@ -206,6 +218,7 @@ def _layout(data: bytes) -> _Layout:
     after_position = 3 + counts[0]
     after_velocity = after_position + 1 + counts[1]
     return _Layout(
+        len(data),
         encapsulation,
         bytes(data[_PREFIX_START:prefix_end]),
         prefix_end,

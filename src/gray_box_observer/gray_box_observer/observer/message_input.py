@@ -68,7 +68,7 @@ class MessageInput:
         }
         self.rejection_counts: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
         self.complaints: dict[str, str] = {}
-        self.message_counts: Counter[str] = Counter()
+        self.message_counts = dict.fromkeys(SIGNALS, 0)
         self.others: Counter[str] = Counter()
         self._plain_signals = {
             name: signal for name, signal in self.signals.items() if isinstance(signal, Signal)

@@ -15,6 +15,11 @@ ABSURD_MAGNITUDE = 1e9
 """No armature voltage, torque or speed in SI units comes near; beyond it squares would soon
 overflow."""
 
+_INTERVAL = slice(0, 1)
+_VOLTAGE = slice(1, 2)
+_TORQUE = slice(2, 3)
+_SPEED = slice(3, 4)
+
 
 def seconds(duration_ns: int) -> float:
     """Turn integer nanoseconds into float seconds: the one place where time changes its type."""
@@ -79,8 +84,12 @@ class Sample(NamedTuple):
         speed_rad_s: float = np.nan,
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
-        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float)
+        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s))
         # As cls(...) does, without the call that every sample would pay for.
         return tuple.__new__(
-            cls, (stamp_ns, values[0:1], values[1:2], values[2:3], values[3:4], None)
-        )
+            cls,
+            (
+                stamp_ns, values[_INTERVAL], values[_VOLTAGE], values[_TORQUE], values[_SPEED],
+                None,
+            ),
+        )  # fmt: skip
