@@ -101,3 +101,9 @@ def test_anything_else_is_refused_with_one_line(text):
 def test_comparisons_that_numpy_cannot_do_are_refused(text):
     with pytest.raises(BagError, match='is not allowed'):
         Expression(text, NAMES, 3, is_condition=True)
+
+
+def test_of_very_many_columns_of_one_name_one_short_line_offers_some():
+    with pytest.raises(BagError, match=r'write \$1 or .* or another one$') as caught:
+        Expression('a', ('a',) * 500, 500)
+    assert len(str(caught.value)) < 200

@@ -15,6 +15,9 @@ Table = Mapping[int, NDArray[np.float64]]
 
 _MOST_NAMED = 50
 
+_MOST_CHOICES = 10
+"""Numbers of columns that one line offers."""
+
 
 class Expression:
     """A compiled expression over columns.
@@ -98,10 +101,11 @@ class Expression:
             return self._checked(name)
         places = [number for number, title in enumerate(self._names, start=1) if title == name]
         if len(places) > 1:
-            choices = ' or '.join(f'${number}' for number in places)
+            choices = ' or '.join(f'${number}' for number in places[:_MOST_CHOICES])
+            others = ' or another one' if len(places) > _MOST_CHOICES else ''
             raise BagError(
                 f'the header has {len(places)} columns {brief(name)} (in {brief(self.text)}): '
-                f'write {choices}'
+                f'write {choices}{others}'
             )
         if places:
             return places[0]

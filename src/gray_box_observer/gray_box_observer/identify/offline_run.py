@@ -319,7 +319,7 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
         {name for signal in outcome.message_input.signals.values() for name in signal.unknown_names}
     )
     if strangers:
-        motor_names = ', '.join(outcome.observer.configuration.motors)
+        motor_names = name_list(outcome.observer.configuration.motors)
         return (
             f'{names}: no usable sample of motor {motor_names}; the messages speak of '
             f'{", ".join(strangers[:5])}'
