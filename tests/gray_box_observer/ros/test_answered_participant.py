@@ -124,6 +124,17 @@ def test_the_first_participant_that_the_observers_have_answered_is_held(
     assert not made[-1].is_shut_down, 'nodes were made in it'
 
 
+def test_of_several_observers_all_must_have_answered_whom_any_participant_knows(
+    participants: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answered_participant, 'ANSWER_S', 60.0)
+    answers = ('/a',), ('/b',), ('/a', '/b')
+    made = participants(lambda number: Participant(answers[number], is_silent=number == 0))
+    with found() as context:
+        assert context is made[2]
+        check_only(made[2], made)
+
+
 def test_a_participant_may_be_answered_after_later_ones_were_made(
     participants: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ has heard.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import rclpy
@@ -54,7 +54,8 @@ def answered_participant(
 
     Args:
         args: the whole command line, for what ROS takes of it; None: that of the process.
-        observers: names of those that must have answered, all of them; none: any.
+        observers: names of those that must have answered, all of them; none: all that any
+            participant knows.
         is_end_requested: tells that nobody waits any more.
     """
     searches: list[_Search] = []
@@ -86,6 +87,7 @@ def _answered_search(
     """
     begin_s = time.monotonic()
     made_count = silent_count = 0
+    known_observers = set(observers)
     while True:
         now_s = time.monotonic()
         is_due = now_s >= begin_s + PAUSE_S * made_count
@@ -96,16 +98,19 @@ def _answered_search(
             searches.append(_Search(node, observers, now_s + ANSWER_S))
             made_count += 1
         for search in searches:
-            search.look()
-        best = max(searches, key=_Search.progress)
+            search.poll()
+        known_observers.update(*(search.subscriptions for search in searches))
+        best = max(searches, key=lambda search: (len(search.heard), len(search.subscriptions)))
         for search in [one for one in searches if now_s >= one.end_s]:
-            silent_count += search.has_found and not search.is_over
+            has_found = not search.is_over and known_observers <= search.subscriptions.keys()
+            silent_count += bool(known_observers) and has_found
             search.is_over = True
             if search is not best:
                 searches.remove(search)
                 search.close()
         is_idle = all(search.is_over for search in searches)
-        if best.has_heard or silent_count >= MOST_SILENT or is_idle or is_end_requested():
+        has_heard = bool(known_observers) and known_observers <= best.heard
+        if has_heard or silent_count >= MOST_SILENT or is_idle or is_end_requested():
             return best
         time.sleep(LOOK_S)
 
@@ -132,6 +137,8 @@ class _Search:
     Attributes:
         node, end_s: as above.
         is_over: whether that time is over.
+        subscriptions: by the names of the observers whose topics are known.
+        heard: names of those that have told something.
     """
 
     def __init__(self, node: Node, observers: Sequence[str], end_s: float) -> None:
@@ -139,38 +146,21 @@ class _Search:
         self.end_s = end_s
         self.is_over = False
         self._observers = frozenset(observers)
-        self._subscriptions: dict[str, Subscription] = {}
-        self._heard: set[str] = set()
+        self.subscriptions: dict[str, Subscription] = {}
+        self.heard: set[str] = set()
 
-    @property
-    def has_found(self) -> bool:
-        """Whether the topics of all are known."""
-        return self._includes(self._subscriptions.keys())
-
-    @property
-    def has_heard(self) -> bool:
-        """Whether all have told something."""
-        return self._includes(self._heard)
-
-    def _includes(self, names: Set[str]) -> bool:
-        return bool(names) and self._observers <= names
-
-    def progress(self) -> tuple[int, int]:
-        """Return how many observers have told something, and of how many the topic is known."""
-        return len(self._heard), len(self._subscriptions)
-
-    def look(self) -> None:
-        """Read what has come."""
+    def poll(self) -> None:
+        """Take what has come."""
         for observer in observers_of(self.node):
             is_meant = not self._observers or observer in self._observers
-            is_new = observer not in self._subscriptions
-            if is_meant and is_new and len(self._subscriptions) < MOST_OBSERVERS:
-                self._subscriptions[observer] = self.node.create_subscription(
+            is_new = observer not in self.subscriptions
+            if is_meant and is_new and len(self.subscriptions) < MOST_OBSERVERS:
+                self.subscriptions[observer] = self.node.create_subscription(
                     ESTIMATES.type, observer + LEAF, lambda _: None, ESTIMATES.qos
                 )
-        for observer, subscription in self._subscriptions.items():
+        for observer, subscription in self.subscriptions.items():
             if any(True for _ in taken(subscription, raw=True)):
-                self._heard.add(observer)
+                self.heard.add(observer)
 
     def close(self) -> None:
         """Give the participant back."""

@@ -51,31 +51,32 @@ class DashboardSettings:
 
 
 class DashboardNode(Node):
-    """Listens, and serves the page in a thread of its own.
+    """Listens, for a page that is served in a thread of its own.
 
     Args:
         settings: what to show.
-        context: of the participant that is used; None: the default one.
-
-    Raises:
-        ConfigurationError: a parameter, or the port, cannot be used.
+        configuration: of the observer, by the same settings.
+        source: what the page is told.
+        server: of the page, which is served already.
+        context: of the participant that is used.
     """
 
-    def __init__(self, settings: DashboardSettings, context: Context | None = None) -> None:
-        self._configuration = Configuration.from_flat(settings.parameters)
-        self._settings = settings
+    def __init__(
+        self,
+        settings: DashboardSettings,
+        configuration: Configuration,
+        source: PageSource,
+        server: PageServer,
+        context: Context,
+    ) -> None:
         super().__init__(NODE_NAME, context=context, **WITHOUT_SERVICES)
-        courses = SignalCourses(self._configuration['jump_back_s'])
-        self.source = PageSource(WatchedState(settings.observers), courses, time.monotonic)
-        self._server = PageServer(self.source, settings.address, settings.port)
-        self._listener = ObserverListener(
-            self, self.source.state, settings.observers, time.monotonic
-        )
+        self._settings = settings
+        self._configuration = configuration
+        self._source = source
+        self._server = server
+        self._listener = ObserverListener(self, source.state, settings.observers, time.monotonic)
         self._signals: SignalListener | None = None
         self._poll_count = 0
-        self._server.start()
-        self.url = self._server.url
-        print(f'dashboard: {printable(self.url)}', flush=True)
 
     def poll(self) -> float:
         """Take what has come; return when to look again.
@@ -84,14 +85,14 @@ class DashboardNode(Node):
             ConfigurationError: the page is served no more.
         """
         self._server.check()
-        with self.source.lock:
+        with self._source.lock:
             self._listener.poll()
             if self._signals is not None:
-                for observer in self.source.state.observers:
+                for observer in self._source.state.observers:
                     self._signals.listen_to(observer)
                 self._signals.poll()
         self._poll_count += 1
-        if self._signals is None and (self.source.state.observers or self._poll_count > PATIENCE):
+        if self._signals is None and (self._source.state.observers or self._poll_count > PATIENCE):
             self._signals = self._listen_to_signals()
         return POLL_S
 
@@ -100,14 +101,14 @@ class DashboardNode(Node):
         from gray_box_observer.ros.watching.signal_listener import SignalListener
 
         signals = SignalListener(
-            self, self.source.signals, self._configuration, self._settings.topic_names
+            self, self._source.signals, self._configuration, self._settings.topic_names
         )
         for observer in self._settings.observers:
             signals.listen_to(observer)
         return signals
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving, before the participant is gone."""
         self._server.stop()
 
 
@@ -118,13 +119,20 @@ def serve(args: Sequence[str], settings: DashboardSettings) -> int:
         args: The whole command line, for what ROS takes of it.
         settings: What to show.
     """
-    with ExitStack() as contexts:
+    with ExitStack() as resources:
 
         def make_node(stop: Stop) -> DashboardNode:
+            configuration = Configuration.from_flat(settings.parameters)
+            courses = SignalCourses(configuration['jump_back_s'])
+            source = PageSource(WatchedState(settings.observers), courses, time.monotonic)
+            server = PageServer(source, settings.address, settings.port)
+            server.start()  # before the search: who opens the page need not wait for it
+            resources.callback(server.stop)
+            print(f'dashboard: {printable(server.url)}', flush=True)
             observers = settings.observers
             with answered_participant(args, observers, lambda: stop.is_requested) as context:
-                contexts.callback(context.try_shutdown)
-                return DashboardNode(settings, context)
+                resources.callback(context.try_shutdown)
+                return DashboardNode(settings, configuration, source, server, context)
 
         return run_node(
             make_node,
