@@ -235,6 +235,29 @@ def test_the_walk_of_one_motor_is_the_same_whatever_another_does():
     assert speeds(0.1).tolist() == speeds(0.0).tolist()
 
 
+def test_what_is_accepted_beside_a_load_that_has_walked_far_can_be_simulated():
+    walker = replace(THESIS, load_walk=3.0)
+    one = simulation('C[0]', motor=walker, speed_mode='rotor', seed=1)
+    for _ in range(500):
+        one.step()
+    assert abs(float(one._load_walk.load_nm[0])) > 1.0
+    fast = replace(walker, viscous_friction=1e-6, inertia=1e-7, hysteresis=10.0)
+    with pytest.raises(PlantError, match='solver steps'):
+        one.check_parameters({'motor': fast})
+    one.step()
+
+
+def test_relative_noise_does_not_depend_on_how_a_load_walks():
+    still, walking = (
+        simulation(
+            'R[5,15]D[0.1,1]', motor=replace(THESIS, load_walk=walk), speed_mode='rotor',
+            torque_noise_relative=0.01,
+        )
+        for walk in (0.0, 0.5)
+    )  # fmt: skip
+    assert walking.torque_noise_std_nm == pytest.approx(still.torque_noise_std_nm)
+
+
 def test_a_lag_too_short_to_be_one_is_refused():
     with pytest.raises(ConfigurationError, match=r'^torque_lag_s must be from 1e-06 to 10; got'):
         simulation(torque_lag_s=1e-320)

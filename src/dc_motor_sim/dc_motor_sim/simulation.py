@@ -78,8 +78,8 @@ class Simulation:
         torque_noise_std: White noise of the torque sensor in N m.
         torque_noise_relative: The same as a fraction of the standard deviation of each motor's
             noise-free torque. That is measured once, before the first sample, in a dry run of 60 s
-            with the same seed, motors and excitation, at no more than 100 Hz; later changes of the
-            motors do not change the noise.
+            with the same seed, motors and excitation, at no more than 100 Hz, their loads without
+            a walk; later changes of the motors do not change the noise.
         torque_offset: What the torque sensor reads too high in N m.
         torque_lag_s: Time constant of the torque sensor in s, from 1e-6 on; 0: it reads the torque
             at once.
@@ -136,6 +136,7 @@ class Simulation:
         self._start_ns = start_ns
         self._sample = 0
         self._solver_step_s = solver_step_s
+        self._load_walk = LoadWalk(len(self.motors), seed)
         self.check_parameters({})
         excitations = _excitation_of_each(self.motors, excitation)
         self._source = VoltageSource(
@@ -158,7 +159,7 @@ class Simulation:
         if torque_noise_relative > 0.0:
             _refuse_external(excitations)
             dry_run = Simulation(
-                motors,
+                {name: replace(motor, load_walk=0.0) for name, motor in motors.items()},
                 {name: motor_excitation.text for name, motor_excitation in excitations.items()},
                 sample_rate_hz=min(sample_rate_hz, SPREAD_RATE_HZ),
                 seed=seed,
@@ -171,7 +172,6 @@ class Simulation:
             )
         self.torque_noise_std_nm = noise_nm  # shape: (motor,)
         self._sensors = Sensors(sensors, noise_nm, seed)
-        self._load_walk = LoadWalk(len(self.motors), seed)
 
     @property
     def parameters(self) -> Mapping[str, PlantParameters]:
@@ -204,8 +204,9 @@ class Simulation:
             self._plant.torque_lag_s,
         )
         plant.substeps_for(
-            self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s
-        )
+            self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s,
+            self._load_walk.load_nm,
+        )  # fmt: skip
         return plant
 
     def is_external(self, motor: str) -> bool:
@@ -294,10 +295,14 @@ class LoadWalk:
     Args:
         motors: How many.
         seed: Seed of the simulation.
+
+    Attributes:
+        load_nm: Load torques at present in N m, shape (motor,); None where none has ever wandered.
     """
 
     def __init__(self, motors: int, seed: int) -> None:
-        self._load_nm: FloatArray = np.zeros(motors)
+        self.load_nm: FloatArray | None = None
+        self._motors = motors
         self._seed = seed
         self._streams: dict[int, np.random.Generator] = {}
 
@@ -312,15 +317,16 @@ class LoadWalk:
             Load torques in N m, shape (motor,); None where none has ever wandered.
         """
         walkers = np.flatnonzero(walk).tolist()
-        if not walkers and not self._streams:
+        if not walkers and self.load_nm is None:
             return None
-        self._load_nm = self._load_nm.copy()
+        load_nm = np.zeros(self._motors) if self.load_nm is None else self.load_nm.copy()
         for motor in walkers:
             if motor not in self._streams:
                 self._streams[motor] = generator(self._seed, motor, Purpose.LOAD_WALK)
             step = self._streams[motor].standard_normal()
-            self._load_nm[motor] += walk[motor] * math.sqrt(period_s) * step
-        return self._load_nm
+            load_nm[motor] += walk[motor] * math.sqrt(period_s) * step
+        self.load_nm = load_nm
+        return load_nm
 
 
 def _require(name: str, value: float, low: float, high: float) -> None:

@@ -107,7 +107,10 @@ class NodeParameters:
     torque_lag_s: float = field(
         default=0.0,
         metadata=about(
-            'time constant of the torque sensor, first order; 0: reads at once', 's', 0.0, 10.0
+            'time constant of the torque sensor, first order, from 1e-6 on; 0: reads at once',
+            's',
+            0.0,
+            10.0,
         ),
     )
     torque_quantisation: float = field(
