@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from gray_box_observer.ros.watching import answered_participant
 from gray_box_observer.ros.watching.answered_participant import MOST_PARTICIPANTS
@@ -148,6 +150,57 @@ def test_a_participant_may_be_answered_after_later_ones_were_made(
     with answered_participant.answered_participant(None, (), answer) as context:
         assert context is made[1]
         check_only(made[1], made)
+
+
+def test_one_that_takes_long_to_make_is_not_followed_by_a_crowd(
+    participants: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+
+    def sleep(duration_s: float) -> None:
+        nonlocal now_s
+        now_s += duration_s
+
+    def make(number: int) -> Participant:
+        sleep(1.0 if number == 0 else 0.01)
+        return Participant(())
+
+    monkeypatch.setattr(answered_participant, 'ANSWER_S', 0.3)
+    monkeypatch.setattr(answered_participant, 'PAUSE_S', 0.1)
+    clock = SimpleNamespace(monotonic=lambda: now_s, sleep=sleep)
+    monkeypatch.setattr(answered_participant, 'time', clock)
+    most = 0
+    made = participants(make)
+
+    def count_open() -> bool:
+        nonlocal most
+        most = max(most, sum(not one.is_destroyed for one in made))
+        return False
+
+    with answered_participant.answered_participant(None, (), count_open):
+        assert len(made) == MOST_PARTICIPANTS
+        assert most <= 5
+
+
+def test_where_there_is_room_for_one_alone_that_one_is_held(participants: Make) -> None:
+    def make(number: int) -> Participant:
+        if number > 0:
+            raise rclpy_implementation.RCLError('no more participants')
+        return Participant(())
+
+    made = participants(make)
+    with found() as context:
+        assert context is made[0]
+        check_only(made[0], made)
+
+
+def test_where_there_is_room_for_none_the_error_is_told(participants: Make) -> None:
+    def make(_number: int) -> Participant:
+        raise rclpy_implementation.RCLError('no participant')
+
+    participants(make)
+    with pytest.raises(rclpy_implementation.RCLError, match='no participant'), found():
+        pass
 
 
 def test_an_observer_with_nothing_to_tell_yet_is_waited_for_no_longer(participants: Make) -> None:

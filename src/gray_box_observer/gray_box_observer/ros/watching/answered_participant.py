@@ -15,6 +15,7 @@ from contextlib import contextmanager
 
 import rclpy
 from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
@@ -85,18 +86,24 @@ def _answered_search(
     One whose time is over is given back, unless it is the best: in the range of this host the
     middleware announces itself to 32 participants only.
     """
-    begin_s = time.monotonic()
+    begin_s = due_s = time.monotonic()
     made_count = silent_count = 0
+    most_count = MOST_PARTICIPANTS
     known_observers = set(observers)
     while True:
         now_s = time.monotonic()
-        is_due = now_s >= begin_s + PAUSE_S * made_count
-        is_early = now_s < begin_s + LONGEST_S
-        if is_due and is_early and made_count < MOST_PARTICIPANTS:
-            node = _listening_node(args)  # which takes long on a busy machine
-            now_s = time.monotonic()
-            searches.append(_Search(node, observers, now_s + ANSWER_S))
-            made_count += 1
+        if due_s <= now_s < begin_s + LONGEST_S and made_count < most_count:
+            try:
+                node = _listening_node(args)  # which takes long on a busy machine
+            except rclpy_implementation.RCLError:
+                if not searches:
+                    raise
+                most_count = made_count  # there is room for no more
+            else:
+                now_s = time.monotonic()
+                searches.append(_Search(node, observers, now_s + ANSWER_S))
+                made_count += 1
+            due_s = now_s + PAUSE_S
         for search in searches:
             search.poll()
         known_observers.update(*(search.subscriptions for search in searches))
