@@ -38,8 +38,8 @@ WHITE_BOX = Path(declaration.__file__).resolve().parent
 
 HEAD = 'Written by `make physics` from declaration.py: change that, not this.'
 
-ARGUMENTS = (*SIGNALS, *CONSTANTS)
-"""What every formula of an effect is a function of."""
+ARGUMENTS = (*SIGNALS, *CONSTANTS, 'voltage')
+"""What every formula of an effect or a drive is a function of."""
 
 CURRENT = SIGNALS[State.CURRENT]
 FOLLOWING = SIGNALS[-1]
@@ -51,7 +51,7 @@ NUMBER = 'number '
 Expression = Any
 
 SYMBOLS: dict[str, Expression] = {
-    name: sympy.Symbol(name, real=True) for name in ('voltage', 'torque', *ARGUMENTS)
+    name: sympy.Symbol(name, real=True) for name in ('torque', *ARGUMENTS)
 }
 
 
@@ -135,13 +135,12 @@ def python_forms(fingerprint: int, whole_motor: int) -> str:
     ]
     lines += ['EFFECTS: dict[str, Form] = {']
     for name, term in TERMS.items():
-        lines += _form(f"'{name}'", ARGUMENTS, term.formula) if term.formula else []
+        lines += _form(f"'{name}'", term.formula) if term.formula else []
     lines += ['}', '"""Effects by the names of their coefficients."""', '']
     lines += ['DRIVES: dict[State, Form | None] = {']
     for state, formula in DRIVES.items():
         key = f'State.{state.name}'
-        drive = _form(key, ('voltage', *ARGUMENTS), formula)
-        lines += [f'    {key}: None,'] if formula == 'voltage' else drive
+        lines += [f'    {key}: None,'] if formula == 'voltage' else _form(key, formula)
     lines += ['}', '"""What drives every state; ``None``: the voltage itself."""', '']
     for name, argument, expression, description in relations():
         lines += ['', f'def {name}({argument}: Any, torque_constant: Any) -> Any:']
@@ -149,9 +148,9 @@ def python_forms(fingerprint: int, whole_motor: int) -> str:
     return '\n'.join(lines)
 
 
-def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
+def _form(key: str, formula: str) -> list[str]:
     expression = parsed(formula)
-    head = f'lambda {", ".join(arguments)}: '
+    head = f'lambda {", ".join(ARGUMENTS)}: '
     value = in_python(expression)
     value += f' + 0.0 * {CURRENT}' if expression.is_number else ''  # one for every sample
     slopes = ',\n         '.join(
@@ -171,7 +170,7 @@ def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
 
 _TERM = (
     f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, '
-    f'box->torque_constant);'
+    f'box->torque_constant, voltage);'
 )
 UNKNOWN = Loop('for (int j = 1; j < of.coordinates; j++)', _TERM.format('j - 1'))
 KNOWN = Loop('for (int k = 0; k < of.known; k++)', _TERM.format('of.coordinates - 1 + k'))
@@ -216,9 +215,7 @@ def _drive(formula: str) -> Form | None:
         return None
     value, *slopes = [parsed(formula), *(derivative(parsed(formula), signal) for signal in SIGNALS)]
     total = following(parsed(formula))
-    functions = [
-        _function(('voltage', *ARGUMENTS), expression) for expression in (value, *slopes, total)
-    ]
+    functions = [_function(ARGUMENTS, expression) for expression in (value, *slopes, total)]
     return Form(functions[0], tuple(functions[1:-1]), functions[-1])
 
 
@@ -256,10 +253,8 @@ def c_forms() -> str:
             '',
         ]
     lines += ['/* A term for a coefficient of one, and its derivatives. */']
-    lines += [
-        'INLINE Term term(int64_t code, int speed_measured, '
-        f'{", ".join(f"Real {name}" for name in ARGUMENTS)})'
-    ]
+    signals = ', '.join(f'Real {name}' for name in ARGUMENTS)
+    lines += wrapped(f'INLINE Term term(int64_t code, int speed_measured, {signals})')
     cases = [line for name, effect in effects.items() for line in _case(name, effect)]
     body = [
         'Term t = {{0}, {{0}}};',

@@ -118,15 +118,17 @@ def test_every_term_is_compiled_as_it_is_declared() -> None:
     constant = 0.3
     for code, name in enumerate(TERMS):
         form = EFFECTS.get(name) if TERMS[name].state is State.CURRENT else None
-        assert bool(library.term_values(code, 0, 1.0, 1.0, constant, values)) == (
+        assert bool(library.term_values(code, 0, 1.0, 1.0, constant, 1.0, values)) == (
             form is not None
         ), name
         if form is None:
             continue
-        for current, speed in product((-3.0, -0.01, 0.0, 0.5), (-20.0, 0.0, 7.0)):
+        currents = -3.0, -0.01, 0.0, 0.5
+        for current, speed, voltage in product(currents, (-20.0, 0.0, 7.0), (-6.0, 0.0, 0.03)):
             for measured, slope in enumerate((form.total_slope, form.partial[State.CURRENT])):
-                library.term_values(code, measured, current, speed, constant, values)
-                declared = [function(current, speed, constant) for function in (form.value, slope)]
+                signals = current, speed, constant, voltage
+                library.term_values(code, measured, *signals, values)
+                declared = [function(*signals) for function in (form.value, slope)]
                 # the slope of a softened sign is a small difference of large numbers
                 np.testing.assert_allclose(list(values), declared, rtol=1e-13, err_msg=name)
 

@@ -296,7 +296,12 @@ def test_an_odrive_whose_bus_and_current_come_apart_is_a_misfit(
     assert {str(verdict.value) for verdict in estimate.verdicts[0]} == {'misfit'}
 
 
-def test_a_dead_zone_is_found_by_adding_what_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ('known_v', 'effects'), [(0.0, ('dead_zone',)), (1.0, ())], ids=['found', 'stated']
+)
+def test_a_dead_zone_is_found_or_stated(
+    tmp_path: Path, known_v: float, effects: tuple[str, ...]
+) -> None:
     plant = PlantParameters(
         inductance=0.01,
         resistance=2.0,
@@ -309,15 +314,7 @@ def test_a_dead_zone_is_found_by_adding_what_is_named(tmp_path: Path) -> None:
         {'wheel': plant}, 'R[-12,12]D[0.05,0.5]', seed=1, sample_rate_hz=1000.0,
         torque_noise_relative=0.01,
     ).record(6.0)  # fmt: skip
-    page = parameters('dead_zone')
-    options = {
-        **page,
-        'predictor': False,
-        'wheel.back_emf_constant': 0.0,
-        'wheel.context_nodes': ['inductance', 'resistance'],
-    }
     kind = 'sensor_msgs/msg/JointState'
-    shape = page['voltage.expression']
 
     def said(now: Moment) -> list[Row]:
         return [
@@ -326,20 +323,21 @@ def test_a_dead_zone_is_found_by_adding_what_is_named(tmp_path: Path) -> None:
         ]
 
     bag = record(tmp_path / 'bag', said, recording)
-    lost_v = 0.0
-    for _ in range(3):
-        expression = shape.replace('0.8', f'{lost_v:.3f}')
-        flat = {**options, 'voltage.expression': expression}
-        outcome = run([bag], Configuration.from_flat(flat), None)
-        fit = outcome.observer.motors['wheel'].fit
-        if fit.verdict is not FitVerdict.MISFIT:
-            break
-        remedies = {suspect.effect: suspect.remedy for suspect in fit.suspects}
-        lost_v += float(re.findall(r'take a further ([0-9.]+) V', remedies['dead_zone'])[0])
-    assert fit.verdict is FitVerdict.OK
-    assert lost_v == pytest.approx(1.0, abs=0.02)
-    estimate = outcome.observer.estimates()['wheel']
-    assert estimate.value[0] == pytest.approx([0.01, 2.0], rel=0.01)
+    flat = {
+        **parameters('dead_zone'),
+        'predictor': False,
+        'wheel.back_emf_constant': 0.0,
+        'wheel.context_nodes': ['inductance', 'resistance'],
+        'wheel.known.dead_zone': known_v,
+    }
+    observer = run([bag], Configuration.from_flat(flat), None).observer
+    assert observer.motors['wheel'].fit.verdict is FitVerdict.OK
+    assert observer.motors['wheel'].added_effects == effects
+    estimate = observer.estimates()['wheel']
+    truth = [0.01, 2.0, 1.0][: 2 + len(effects)]
+    assert estimate.value[0] == pytest.approx(truth, rel=0.01)
+    assert np.all(abs(estimate.value[0] - truth) < 3.0 * estimate.std[0])
+    assert {verdict.value for verdict in estimate.verdicts[0]} == {'identified'}
 
 
 def test_every_file_of_the_page_is_tried() -> None:

@@ -12,7 +12,7 @@ from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
-from gray_box_observer.errors import CheckpointError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.identify.result_text import _lines as text_lines
 from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.motor_form import FormKind
@@ -25,6 +25,7 @@ from gray_box_observer.settings.configuration import Configuration
 FORWARD = 'R[8,10]D[0.02,0.2]'
 NODES = {'motor.context_nodes': ['inductance', 'resistance']}
 LOSSY = replace(GEAR_MOTOR, brush_drop=0.6)
+DEADENED = replace(GEAR_MOTOR, dead_zone=0.8)
 THESIS_MOTOR = PlantParameters(
     inductance=8e-3, resistance=2.0, hysteresis=5.0, torque_constant=0.02, back_emf_constant=0.02
 )
@@ -55,8 +56,8 @@ def values_of(motor: MotorView) -> dict[str, tuple[float, float, str]]:
 
 @pytest.fixture(scope='module')
 def lossy() -> Observer:
-    """A motor that loses 0.6 V, observed."""
-    return fed(recorded(LOSSY, LIVELY, 2.0, 1))
+    """A motor that loses 0.6 V, observed until command and current had different signs."""
+    return fed(recorded(LOSSY, LIVELY, 4.0, 1))
 
 
 def test_a_lost_voltage_is_added_and_everything_is_right(lossy: Observer) -> None:
@@ -112,6 +113,61 @@ def test_a_lost_voltage_is_found_beside_a_rotor_that_nobody_measures() -> None:
         assert abs(value - getattr(LOSSY, name)) < max(4.0 * std, 0.02 * getattr(LOSSY, name))
 
 
+@pytest.mark.parametrize('speed', [True, False], ids=['measured', 'thesis'])
+@pytest.mark.parametrize('zone_v', [0.3, 2.0])
+def test_a_dead_zone_is_added_and_everything_is_right(zone_v: float, speed: bool) -> None:
+    plant = replace(GEAR_MOTOR if speed else THESIS_MOTOR, dead_zone=zone_v)
+    nodes = {} if speed else {'motor.context_nodes': [*NODES_OF_THESIS]}
+    motor = fed(recorded(plant, LIVELY, 4.0, 2), speed=speed, **nodes).motors['motor']
+    assert motor.added_effects == ('dead_zone',)
+    assert motor.fit.verdict.value in ('ok', 'warning')
+    for name, (value, std, verdict) in values_of(motor).items():
+        true = getattr(plant, name)
+        assert verdict == 'identified', name
+        assert abs(value - true) < max(4.0 * std, 0.01 * true), name
+
+
+@pytest.mark.slow
+def test_a_dead_zone_is_found_beside_a_rotor_that_nobody_measures() -> None:
+    values = {'motor.context_nodes': [*NODES_OF_THESIS]}
+    motor = fed(recorded(DEADENED, LIVELY, 12.0, 1), speed=False, **values).motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.added_effects == ('dead_zone',)
+    found = values_of(motor)
+    for name in ('resistance', 'dead_zone'):
+        value, std, verdict = found[name]
+        assert verdict == 'identified', name
+        assert abs(value - getattr(DEADENED, name)) < max(4.0 * std, 0.02 * value), name
+
+
+def test_what_is_known_of_dead_zones_counts_motor_by_motor() -> None:
+    zones_v = {'a': 0.5, 'b': 2.0}
+    flat: dict[str, object] = {'motors': [*zones_v], 'predictor': False, 'group_from': 2}
+    for name, zone_v in zones_v.items():
+        constants = {key.removeprefix('motor.'): value for key, value in CONSTANTS.items()}
+        flat |= {f'{name}.{key}': value for key, value in constants.items() if '.' not in key}
+        flat |= {f'{name}.context_nodes': NODES['motor.context_nodes']}
+        flat |= {f'{name}.known.dead_zone': zone_v}
+    observer = Observer(Configuration.from_flat(flat))
+    records = [
+        recorded(replace(GEAR_MOTOR, dead_zone=zone_v), LIVELY, 2.0, 1)
+        for zone_v in zones_v.values()
+    ]
+    names = tuple(zones_v)
+    for k, stamp in enumerate(records[0].stamp_ns.tolist()):
+        signals = [
+            np.array([getattr(record, signal)[0, k] for record in records])
+            for signal in ('voltage_v', 'torque_nm', 'speed_rad_s')
+        ]
+        observer.ingest('voltage', names, stamp, signals[0])
+        observer.ingest('torque', names, stamp, signals[1], signals[2])
+    for motor in observer.motors.values():
+        assert motor.observer.motors == len(zones_v)
+        resistance, std, verdict = values_of(motor)['resistance']
+        assert verdict == 'identified'
+        assert abs(resistance - GEAR_MOTOR.resistance) < max(4.0 * std, 0.01 * resistance)
+
+
 NODES_OF_THESIS = ('inductance', 'resistance', 'hysteresis')
 
 
@@ -132,7 +188,11 @@ def test_where_nothing_may_be_added_the_reason_is_given(
 
 
 def test_what_is_known_or_named_is_not_added() -> None:
-    known = {'motor.brush_drop': 0.6, 'motor.known.voltage_offset': -0.1}
+    known = {
+        'motor.brush_drop': 0.6,
+        'motor.known.voltage_offset': -0.1,
+        'motor.known.dead_zone': 0.2,
+    }
     motors = [Configuration.from_flat(known).motors['motor']]
     choice = motor_observer(
         Configuration.from_flat(known), motors, None, speed_measured=True
@@ -224,11 +284,14 @@ def samples_of(record: Recording) -> list[Sample]:
     ]
 
 
-def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored() -> None:
+@pytest.mark.parametrize(('plant', 'effect'), [(LOSSY, 'brush_drop'), (DEADENED, 'dead_zone')])
+def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
+    plant: PlantParameters, effect: str
+) -> None:
     through = made()
     restored = []
     pieces = set()
-    for sample in samples_of(recorded(LOSSY, LIVELY, 2.0, 1)):
+    for sample in samples_of(recorded(plant, LIVELY, 2.0, 1)):
         through.step(sample)
         for other in restored:
             other.step(sample)
@@ -238,7 +301,7 @@ def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored() -> N
             plain, arrays = through.state()
             restored.append(made())
             restored[-1].restore(plain, {name: array.copy() for name, array in arrays.items()})
-    assert through.form_choice.kind.effects == ('brush_drop',)
+    assert through.form_choice.kind.effects == (effect,)
     assert restored
     one = through.estimate()
     for motor in restored:
@@ -261,6 +324,43 @@ def test_a_restored_motor_has_the_effects_that_it_had(lossy: Observer, tmp_path:
     refusing = Observer(Configuration.from_flat({**CONSTANTS, **NODES, 'motor.effects': 'none'}))
     with pytest.raises(Exception, match='other known constants or terms'):
         checkpoint.load(refusing, path)
+
+
+def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
+    record = recorded(DEADENED, LIVELY, 4.0, 1)
+    half = record.stamp_ns.size // 2
+    path = tmp_path / 'motor.safetensors'
+    through, after = (Observer(Configuration.from_flat({**CONSTANTS, **NODES})) for _ in range(2))
+
+    def feed(observer: Observer, k: int) -> None:
+        stamp_ns = int(record.stamp_ns[k])
+        observer.voltage('motor', stamp_ns, float(record.voltage_v[0, k]))
+        signals = float(record.torque_nm[0, k]), float(record.speed_rad_s[0, k])
+        observer.torque('motor', stamp_ns, *signals)
+
+    for k in range(half):
+        feed(through, k)
+    assert through.motors['motor'].added_effects == ('dead_zone',)
+    checkpoint.save(through, path)
+    checkpoint.load(after, path)
+    for k in range(half, record.stamp_ns.size):
+        feed(after, k)
+    motor = after.motors['motor']
+    assert motor.added_effects == ('dead_zone',)
+    for name, (value, std, verdict) in values_of(motor).items():
+        true = getattr(DEADENED, name)
+        assert verdict == 'identified', name
+        assert abs(value - true) < max(4.0 * std, 0.01 * true), name
+
+
+@pytest.mark.parametrize('dead_zone_v', [-1.0, float('nan'), '1', None, 1e300])
+def test_a_saved_dead_zone_that_is_none_is_refused(dead_zone_v: object) -> None:
+    observer = fed(recorded(DEADENED, LIVELY, 2.0, 1))
+    plain, arrays = observer.motors['motor'].observer.state()
+    saved = {**plain, 'speed': {**plain['speed'], 'dead_zone_v': dead_zone_v}}
+    other = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    with pytest.raises((CheckpointError, ConfigurationError)):
+        other.restore({'motor': (saved, arrays)})
 
 
 @pytest.mark.parametrize(
@@ -290,7 +390,7 @@ def test_candidates_that_could_not_have_been_are_refused(candidates: object) -> 
 
 
 def test_the_choice_does_not_depend_on_when_deferred_work_is_done(lossy: Observer) -> None:
-    record = recorded(LOSSY, LIVELY, 2.0, 1)
+    record = recorded(LOSSY, LIVELY, 4.0, 1)
     eager = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
     for k, stamp in enumerate(record.stamp_ns.tolist()):
         eager.voltage('motor', stamp, float(record.voltage_v[0, k]))

@@ -55,7 +55,7 @@ def integrated(
 
 def gap(box: MotorWhiteBox, theta: list[float], voltage_v: Any, state: Any) -> Any:
     balance = box.balances(state)[State.CURRENT]
-    return gap_v(balance, theta, voltage_v, balance.signals([state], SPEED))
+    return gap_v(balance, theta, balance.signals([state], SPEED, voltage_v))
 
 
 def test_gap_and_slope_are_those_of_the_white_box(box: MotorWhiteBox, theta: list[float]) -> None:
@@ -68,8 +68,8 @@ def test_gap_and_slope_are_those_of_the_white_box(box: MotorWhiteBox, theta: lis
         slope = flow_rate(np, box, p, [arrays[2][None]], arrays[1][None], arrays[3][None]).by_state
         expected = -slope[State.CURRENT][State.CURRENT].item() * theta[0]
         balance = box.balances(state)[State.CURRENT]
-        signals = balance.signals([state], SPEED)
-        assert slope_ohm(balance, theta, voltage, signals) == pytest.approx(expected, abs=1e-8)
+        signals = balance.signals([state], SPEED, voltage)
+        assert slope_ohm(balance, theta, signals) == pytest.approx(expected, abs=1e-8)
 
 
 def test_the_steady_state_is_where_bisection_finds_it(

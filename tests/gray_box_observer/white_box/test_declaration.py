@@ -178,7 +178,7 @@ box = MotorWhiteBox(nodes, 0.5, {}, True)
 
 def value_and_slope(current):
     balance = box.balances(current)[0]
-    signals = balance.signals([current], 0.0 * current)
+    signals = balance.signals([current], 0.0 * current, 0.0)
     return [balance.basis(signals)[1], balance.basis_slope(0, signals)[1]]
 
 found['numbers'] = [*zip(*map(value_and_slope, currents))]
@@ -190,7 +190,7 @@ values = (ctypes.c_double * 2)()
 code = list(TERMS).index('spread_drop')
 
 def compiled(current):
-    assert library.term_values(code, 1, current, 0.0, 0.5, values)
+    assert library.term_values(code, 1, current, 0.0, 0.5, 0.0, values)
     return list(values)
 
 found['compiled'] = [*zip(*map(compiled, currents))]

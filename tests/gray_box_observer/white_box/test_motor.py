@@ -20,7 +20,7 @@ SPEEDS = np.array([0.5, -3.0, 2.0, -0.2, 7.0, 100.0])
 def electrical(box: MotorWhiteBox, current: Any, speed: Any) -> tuple[Balance, tuple[Any, ...]]:
     """The balance of the current, and its signals."""
     balance = box.balances(current)[State.CURRENT]
-    return balance, balance.signals([current], speed)
+    return balance, balance.signals([current], speed, 0.0 * current)
 
 
 @pytest.mark.parametrize(
@@ -34,10 +34,10 @@ def test_the_slope_of_every_term_is_its_finite_difference(name: str, speed_measu
 
     def value(current: np.ndarray) -> Any:
         balance, signals = electrical(box, current, SPEEDS)
-        return -balance.drive(0.0 * current, signals) if is_known else balance.basis(signals)[0]
+        return -balance.drive(signals) if is_known else balance.basis(signals)[0]
 
     balance, signals = electrical(box, CURRENTS, SPEEDS)
-    drop = -balance.drive_slope(State.CURRENT, 0.0 * CURRENTS, signals)
+    drop = -balance.drive_slope(State.CURRENT, signals)
     slope = drop if is_known else balance.basis_slope(State.CURRENT, signals)[0]
     h = 1e-6
     expected = (value(CURRENTS + h) - value(CURRENTS - h)) / (2 * h)
@@ -49,7 +49,7 @@ def test_the_slope_of_every_term_is_its_finite_difference(name: str, speed_measu
 def test_a_known_term_moves_from_the_unknowns_to_the_drive() -> None:
     unknown = MotorWhiteBox(ALL, 0.3, {}, True)
     known = MotorWhiteBox(('inductance', 'resistance'), 0.3, dict.fromkeys(ALL[2:], 0.7), True)
-    rest = sum(0.7 * phi for phi in unknown.basis(CURRENTS, SPEEDS)[1:])
+    rest = sum(0.7 * phi for phi in unknown.basis(24.0 + 0 * CURRENTS, CURRENTS, SPEEDS)[1:])
     np.testing.assert_allclose(
         known.drive(24.0 + 0 * CURRENTS, CURRENTS, SPEEDS), 24.0 - rest, rtol=1e-14
     )
@@ -59,7 +59,9 @@ def test_hysteresis_takes_energy_in_all_four_quadrants() -> None:
     box = MotorWhiteBox(('inductance', 'hysteresis'), 0.3, {}, True)
     for current in (-2.0, 2.0):
         for speed in (-5.0, 5.0):
-            assert box.basis(np.array([current]), np.array([speed]))[0][0] * current > 0.0
+            assert (
+                box.basis(np.ones(1), np.array([current]), np.array([speed]))[0][0] * current > 0.0
+            )
 
 
 def test_torque_and_current_turn_into_each_other_motor_by_motor() -> None:
@@ -151,7 +153,7 @@ def test_tensors_give_what_arrays_give(measured: bool) -> None:
     balance, signals = electrical(box, i, w)
     tensors, of_twin = electrical(twin, ti, tw)
     pairs = [
-        *zip(box.basis(i, w), twin.basis(ti, tw), strict=True),
+        *zip(box.basis(i, i, w), twin.basis(ti, ti, tw), strict=True),
         *zip(
             balance.basis_slope(State.CURRENT, signals),
             tensors.basis_slope(State.CURRENT, of_twin),
@@ -159,8 +161,8 @@ def test_tensors_give_what_arrays_give(measured: bool) -> None:
         ),
         (box.drive(i, i, w), twin.drive(ti, ti, tw)),
         (
-            balance.drive_slope(State.CURRENT, i, signals),
-            tensors.drive_slope(State.CURRENT, ti, of_twin),
+            balance.drive_slope(State.CURRENT, signals),
+            tensors.drive_slope(State.CURRENT, of_twin),
         ),
         (box.state(i), twin.state(ti)),
         (box.speed(i, w), twin.speed(ti, tw)),

@@ -100,7 +100,10 @@ def profile(
     yield
     change = (state[WINDOW:] - state[:-WINDOW]) * whole
     known_drop = -_windowed(white_box.drive(np.zeros_like(state), state, speed), interval_s) * whole
-    basis = [_windowed(phi, interval_s) * whole for phi in white_box.basis(state, speed)]
+    basis = [
+        _windowed(phi, interval_s) * whole
+        for phi in white_box.basis(np.zeros_like(state), state, speed)
+    ]
     yield
     first, last = grid[0] - high * interval_s, grid[-1] - low * interval_s
     wide = first + interval_s * np.arange(round((last - first) / interval_s) + 1)

@@ -214,8 +214,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'dead_zone',
             _dead_zone,
-            'publish the voltage at the terminals instead of the command, or take a further '
-            '{amount:.3g} V off it as docs/ROBOTS.md shows: the driver does',
+            'publish the voltage at the terminals instead of the command, or add dead_zone to '
+            '{motor}.context_nodes: the driver takes {amount:.3g} V off its command',
             credible=(0.0, math.inf),
             largest_share=0.5,
         ),
@@ -282,12 +282,10 @@ LOADED_REMEDIES: dict[str, str] = {LOAD: _VARYING_LOAD}
 """The same where the constant part of the load is a context node, or known."""
 
 
-def possible_effects(scene: Scene) -> list[tuple[Effect, list[Shapes]]]:
-    """Return every effect that this motor can have, with the shapes that it may take."""
+def possible_effects(scene: Scene) -> Iterator[tuple[Effect, list[Shapes]]]:
+    """Yield every effect that this motor can have, with the shapes that it may take."""
     has_speed = scene.speed_rad_s is not None
     turns = has_speed or scene.has_rotor
-    return [
-        (effect, list(effect.alternatives(scene)))
-        for effect in EFFECTS.values()
-        if not (effect.needs_speed and not has_speed) and not (effect.without_speed and turns)
-    ]
+    for effect in EFFECTS.values():
+        if not (effect.needs_speed and not has_speed) and not (effect.without_speed and turns):
+            yield effect, list(effect.alternatives(scene))

@@ -115,7 +115,7 @@ class LossInformation:
         shapes = np.ones((len(self._effects), current_a.size))
         for row, name in enumerate(self._effects):
             if name == LOST_VOLTAGE:
-                drop = np.asarray(forms.EFFECTS[name].value(current_a, 0.0, 0.0))
+                drop = np.asarray(forms.EFFECTS[name].value(current_a, 0.0, 0.0, 0.0))
                 shapes[row] = np.where(flows, drop, 0.0)
         return shapes
 

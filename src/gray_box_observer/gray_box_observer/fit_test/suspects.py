@@ -110,7 +110,7 @@ def explanations_in_pieces(
         white_box: of one motor.
         stretch: its samples, with a motor axis of one.
     """
-    rows, names, candidates = _balance(white_box, stretch)
+    rows, names, candidates = yield from _balance_in_pieces(white_box, stretch)
     if rows.shape[1] < FEWEST_ROWS:
         return {}
     yield rows.shape[1]
@@ -238,32 +238,42 @@ def with_delay(suspects: Sequence[Suspect], delay: Suspect) -> list[Suspect]:
     return named_suspects
 
 
-def _balance(
+def _balance_in_pieces(
     white_box: MotorWhiteBox, stretch: SampleWindow
-) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
+) -> Pieces[tuple[Array, list[str], list[tuple[Effect, Shapes]]]]:
     """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
     current_a = stretch.state[0]
     interval_s = stretch.interval_s[0]
     speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
-    taken_off = np.broadcast_to(
-        white_box.drive(0.0 * stretch.state, stretch.state, speed), speed.shape
-    )
-    drive_v = stretch.voltage_v[0] + interval_means(taken_off[0])
-    bases = [
-        np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)
-    ]
+    voltage_v = stretch.voltage_v
+    start = voltage_v, stretch.state[:, :-1], speed[:, :-1]
+    end = voltage_v, stretch.state[:, 1:], speed[:, 1:]
+
+    def mean(before: Array, after: Array) -> Array:
+        """Return the mean over each interval, of values where it begins and ends."""
+        means: Array = np.broadcast_to(0.5 * (after + before), voltage_v.shape)[0]
+        return means
+
+    drive_v = mean(white_box.drive(*start), white_box.drive(*end))
+    bases = [*map(mean, white_box.basis(*start), white_box.basis(*end))]
     mean_speed = interval_means(speed[0]) if white_box.speed_measured else None
     scene = Scene(stretch.voltage_v[0], interval_means(current_a), mean_speed, fine=True)
-    candidates = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
     signals = [
         np.diff(current_a),
-        *(interval_means(base) * interval_s for base in bases),
+        *(base * interval_s for base in bases),
         drive_v * interval_s,
     ]
-    signals += [-shape * interval_s for _, shapes in candidates for shape in shapes]
-    rows = _windowed(np.where(whole, np.stack(signals), 0.0), whole)
-    return rows, [parameter.name for parameter in white_box.parameters], candidates
+    rows = [_windowed(np.where(whole, np.stack(signals), 0.0), whole)]
+    candidates = []
+    for effect, alternatives in possible_effects(scene):
+        yield whole.size
+        for shapes in alternatives:
+            candidates.append((effect, shapes))
+            signals = [-shape * interval_s for shape in shapes]
+            rows.append(_windowed(np.where(whole, np.stack(signals), 0.0), whole))
+    yield whole.size
+    return np.concatenate(rows), [one.name for one in white_box.parameters], candidates
 
 
 def _windowed(signals: Array, whole: Array) -> Array:

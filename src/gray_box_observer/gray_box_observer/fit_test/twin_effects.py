@@ -1,9 +1,10 @@
 """Effects that look alike, and what the parameters would be with the other one.
 
-A voltage that is lost against the current and an offset are the same as long as the current keeps
-its sign. A load that does not vary is an offset, too, but for the dry friction, which asks for the
-sign of the speed. Where one of them was added by data or named by the user, and another one
-explains the data as well, nothing may be believed that leans on the choice.
+A voltage that is lost against the current, one that the driver takes off its command, and an offset
+are the same as long as current and command keep their sign. A load that does not vary is an offset,
+too, but for the dry friction, which asks for the sign of the speed. Where one of them was added by
+data or named by the user, and another one explains the data as well, nothing may be believed that
+leans on the choice.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.settings.motor_configuration import DEAD_ZONE
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -20,8 +22,12 @@ LOST_VOLTAGE = 'brush_drop'
 OFFSET = 'voltage_offset'
 LOAD_TORQUE = 'load_torque'
 
-TWINS = {LOST_VOLTAGE: OFFSET, OFFSET: LOST_VOLTAGE}
-"""Context nodes of effects that look alike as long as the current keeps its sign."""
+TWINS = {
+    LOST_VOLTAGE: (OFFSET, DEAD_ZONE),
+    OFFSET: (LOST_VOLTAGE, DEAD_ZONE),
+    DEAD_ZONE: (LOST_VOLTAGE, OFFSET),
+}
+"""Context nodes of effects that look alike as long as current and command keep their sign."""
 
 TOLD_APART = 10.0
 """Log-likelihood by which one of them must explain the data better than the other one."""
@@ -44,9 +50,9 @@ def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float)
     """
     names = [parameter.name for parameter in white_box.parameters]
     terms = {*names, *white_box.given}
-    questions = [name for name in names if name in TWINS and TWINS[name] not in terms]
+    questions = [name for name in names if name in TWINS and terms.isdisjoint(TWINS[name])]
     shifts = [
-        *(_voltage_shifts(white_box, run, theta, noise_a, name) for name in questions[:1]),
+        *(_voltage_shifts(white_box, run, theta, noise_a, name) for name in questions),
         *(_load_shifts(white_box, run, theta, noise_a) for name in names if name == LOAD_TORQUE),
     ]
     return np.concatenate([np.empty((0, len(names))), *shifts])
@@ -60,17 +66,20 @@ def _voltage_shifts(
     own = names.index(name)
     current_a = interval_means(run.current_a)
     shapes = {
-        LOST_VOLTAGE: np.asarray(forms.EFFECTS[LOST_VOLTAGE].value(current_a, 0.0, 0.0)),
+        LOST_VOLTAGE: np.asarray(forms.EFFECTS[LOST_VOLTAGE].value(current_a, 0.0, 0.0, 0.0)),
+        DEAD_ZONE: np.asarray(
+            forms.EFFECTS[DEAD_ZONE].value(0.0, 0.0, 0.0, run.stretch.voltage_v[0])
+        ),
         OFFSET: np.ones_like(current_a),
     }
     amount_v = float(theta[own] + white_box.known_parts[own])
-    twins_v = [shapes[TWINS[names[own]]]]
+    twins_v = [shapes[twin] for twin in TWINS[name]]
     if not white_box.has_rotor:
         twins_v.append(_current_offset(white_box, run, theta, own))
-    responses = run.response(-np.stack([amount_v * shapes[names[own]], *twins_v]))
+    responses = run.response(-np.stack([amount_v * shapes[name], *twins_v]))
     shifts = []
     for twin, response in enumerate(responses[1:]):
-        is_other = twin == 0  # an offset of the current is one of the voltage by its name, too
+        is_other = twin < len(TWINS[name])  # an offset of the current has that of a voltage's name
         own_shift = -amount_v / float(theta[own]) if is_other else 0.0
         shift = _swapped(run, own, own_shift, (responses[0], response), noise_a)
         if shift is not None:
@@ -127,7 +136,7 @@ def _current_offset(white_box: WhiteBox, run: FreeRun, theta: Array, own: int) -
         interval_means(run.stretch.speed_rad_s[0]) if white_box.speed_measured else None
     )
     balance = white_box.balances(current_a)[0]
-    signals = balance.signals((current_a,), measured_rad_s)
+    signals = balance.signals((current_a,), measured_rad_s, run.stretch.voltage_v[0])
     volts = np.zeros_like(current_a)
     for place, slope in zip(balance.places, balance.basis_slope(0, signals), strict=True):
         if place != own:

@@ -334,6 +334,7 @@ class WindowTest:
             if not has_rotor:  # its balance has a speed that nobody measures
                 yield count
                 window = SampleWindow.of_content(self.white_box, motor.content)
+                yield count
                 candidates = yield from explanations_in_pieces(self.white_box, window)
             is_added = bool(self.configuration.added_effects)
             is_warned = judgement.verdict is FitVerdict.WARNING

@@ -86,7 +86,7 @@ def motor_observer(
 
     def make(kind: FormKind) -> MotorForm:
         motor = first.with_rotor() if kind.source == ROTOR != source else first
-        motor = motor.with_effects(kind.effects)
+        motor = motor.with_effects(kind.effects, kind.dead_zone_v)
         return _form(configuration, [motor], training, speed_measured=uses_speed)
 
     choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
@@ -132,7 +132,11 @@ def _form(
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
     fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
-    return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales)
+    dead_zones = np.array([motor.dead_zone_v for motor in motors])
+    return MotorForm(
+        white_box, nodes, delay, fit, make_forecasting, scales,
+        dead_zones if dead_zones.any() else None,
+    )  # fmt: skip
 
 
 def _form_choice(

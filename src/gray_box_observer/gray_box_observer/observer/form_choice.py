@@ -20,7 +20,12 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
-from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
+from gray_box_observer.fit_test.twin_effects import (
+    LOAD_TORQUE,
+    LOST_VOLTAGE,
+    OFFSET,
+    TWINS,
+)
 from gray_box_observer.observer.form_trial import (
     MOST_CANDIDATES,
     NEWEST,
@@ -32,6 +37,7 @@ from gray_box_observer.observer.form_trial import (
 from gray_box_observer.observer.motor_form import (
     MEASURED,
     OF_A_ROTOR,
+    RIVALS,
     ROTOR,
     THESIS,
     FormKind,
@@ -42,7 +48,9 @@ from gray_box_observer.observer.motor_form import (
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.settings.motor_configuration import DEAD_ZONE
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
 
 FEWEST = 256
@@ -56,7 +64,7 @@ LONGEST_REASON = 500
 
 NODES = {
     'lost_voltage': LOST_VOLTAGE,
-    'dead_zone': LOST_VOLTAGE,
+    'dead_zone': DEAD_ZONE,
     'current_offset': OFFSET,
     LOAD: LOAD_TORQUE,
 }
@@ -91,6 +99,8 @@ class OpenForms:
         is_known = kind.source in self.sources and all(node in self.effects for node in effects)
         if kind.source != ROTOR and any(node in OF_A_ROTOR for node in effects):
             return False
+        largest_v = TERMS[DEAD_ZONE].parameter.upper if DEAD_ZONE in effects else 0.0
+        is_known = is_known and 0.0 <= kind.dead_zone_v <= largest_v
         return is_known and len(set(effects)) == len(effects)
 
 
@@ -263,7 +273,7 @@ class FormChoice:
         assert outcome.kind is not None
         if outcome.kind.source != self.kind.source:
             self._reasons.source = outcome.reason
-            self._reasons.effects = NOTHING_ADDED
+            self._reasons.effects = outcome.reason if outcome.kind.effects else NOTHING_ADDED
         else:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
@@ -292,29 +302,30 @@ class FormChoice:
         for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)
             if node is not None and node not in self.kind.effects:
-                instead = self.kind.without(TWINS.get(node, '')).with_effect(node)
-                kinds += [instead, self.kind.with_effect(node)]
+                instead = self.kind.without(*TWINS.get(node, ())).with_effect(node)
+                kinds += [instead, *instead.rivals, self.kind.with_effect(node)]
             elif suspect.effect == ROTOR and plain is not None:
                 kinds += self._with_rotor(plain, fit)
-        if self.kind.source == ROTOR:  # most shafts carry one
-            kinds.append(self.kind.with_effect(LOAD_TORQUE))
+        if self.kind.source == ROTOR:  # most shafts carry a load
+            kinds += [*self.kind.rivals, self.kind.with_effect(LOAD_TORQUE)]
         if plain is not None:
             kinds.append(plain)
         different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
         return tuple(different)[:MOST_CANDIDATES]
 
     def _with_rotor(self, plain: FormKind, fit: FitAssessment) -> list[FormKind]:
-        """Return a rotor, and one with a load or a lost voltage where that alone has failed before.
+        """Return a rotor, and one with an effect where that alone has failed before.
 
-        What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of the
-        two is tried first. They take turns, for a fit of a rotor costs most.
+        What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of
+        these is tried first. They take turns, for a fit of a rotor costs most.
         """
         if plain.source != ROTOR or not self._pace.trials:
             return [plain]
         others = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
-        is_lossy = bool(others) and NODES.get(others[0]) == LOST_VOLTAGE
-        in_turn = (LOST_VOLTAGE, LOAD_TORQUE) if is_lossy else (LOAD_TORQUE, LOST_VOLTAGE)
-        return [plain, plain.with_effect(in_turn[(self._pace.trials - 1) % len(in_turn)])]
+        loss = NODES.get(others[0], '') if others else ''
+        in_turn = (loss, LOAD_TORQUE) if loss in RIVALS else (LOAD_TORQUE, LOST_VOLTAGE)
+        kind = plain.with_effect(in_turn[(self._pace.trials - 1) % len(in_turn)])
+        return [plain, kind, *kind.rivals]
 
     def _begin(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
@@ -364,6 +375,7 @@ class FormChoice:
         plain = {
             'source': self.kind.source,
             'effects': list(self.kind.effects),
+            'dead_zone_v': self.kind.dead_zone_v,
             'reason': self._reasons.source,
             'effects_reason': self._reasons.effects,
             'refusal': self._reasons.refusal,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import MEASURED, FormKind, FormMaker, MotorForm
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -32,7 +33,8 @@ from gray_box_observer.safe_io.saved_state import (
     number_or_none,
     whole,
 )
-from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE, check_signals
+from gray_box_observer.settings.motor_configuration import DEAD_ZONE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -43,7 +45,7 @@ LOOKS = (512, 1024)
 """Newest samples of them that are tried first: what explains not even these is given up at a
 fraction of the cost."""
 
-MOST_CANDIDATES = 3
+MOST_CANDIDATES = 4
 """Forms that one trial compares, at most."""
 
 FEWEST_MOVES = 3
@@ -69,6 +71,13 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
 
+MOST_ROUNDS = 4
+"""Fits for one look of a form with a dead zone, after the first: which commands it swallows follows
+from the fit before."""
+
+NEAR = 0.02
+"""Share of a dead zone by which a fit moves it that is the last one."""
+
 _DECISIVE = ('inductance', 'resistance', 'inertia')
 
 _TRIAL = 'trial'
@@ -83,11 +92,13 @@ class TrialOutcome:
         form: that the motor goes over to; None: it keeps its own.
         reason: why.
         kind: of the form.
+        left_a: root mean square in A of the residual that it leaves.
     """
 
     form: MotorForm | None
     reason: str
     kind: FormKind | None = None
+    left_a: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,23 +182,34 @@ class FormTrial:
             form.catch_up(_content(rest), stamp_ns)
 
     def _steps(self) -> Pieces[TrialOutcome]:
-        """Compare every candidate; the first that is better takes over what has come since."""
+        """Compare every candidate; the first that is better takes over what has come since.
+
+        Of two that are rivals a dead zone has to be clearly better: it is the rarer one.
+        """
         reasons = []
-        for kind in self._start.candidates:
+        candidates = list(self._start.candidates)
+        for place, kind in enumerate(candidates):
             outcome = yield from self._compare(kind)
-            if outcome.form is not None:
-                break
-            reasons.append(f'{kind.in_words} {outcome.reason}')
+            if outcome.form is None:
+                reasons.append(f'{kind.in_words} {outcome.reason}')
+                continue
+            for rival in candidates[place + 1 :]:
+                if rival in kind.rivals:
+                    other = yield from self._compare(rival)
+                    outcome = min(outcome, other, key=self._doubt)
+            break
         else:
             number = self._start.number
             times = f'{number} trials' if number > 1 else 'one trial'
             here = self._start.kind.in_words
             because = f'{here} does not explain the data; after {times} {", ".join(reasons)}'
             return TrialOutcome(None, because)
+        form = outcome.form
+        assert form is not None
         self.adopted_count = 0
         while len(self.backlog) - self.adopted_count > CATCH_UP:
             part = self.backlog[self.adopted_count : self.adopted_count + CATCH_UP]
-            outcome.form.catch_up(_content(part), self._start.stamp_ns)
+            form.catch_up(_content(part), self._start.stamp_ns)
             self.adopted_count += CATCH_UP
             yield WORK_A_CATCH
         return outcome
@@ -202,7 +224,15 @@ class FormTrial:
         for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
             if look > 0 and not other.can_go_on:
                 other = self._make(kind)
-            estimate = yield from other.learn_remembered(content[:, :, -count:], start.stamp_ns)
+            newest = content[:, :, -count:]
+            estimate = yield from other.learn_remembered(newest, start.stamp_ns)
+            for _ in range(MOST_ROUNDS if DEAD_ZONE in kind.effects else 0):
+                dead_zone_v = _dead_zone(estimate, newest)
+                if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
+                    break
+                kind = replace(kind, dead_zone_v=dead_zone_v)
+                other = self._make(kind)
+                estimate = yield from other.learn_remembered(newest, start.stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
                 return TrialOutcome(None, self._why_not(fit, estimate))
@@ -227,7 +257,15 @@ class FormTrial:
             f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood '
             f'{self._gain(estimate, left_a, before_a):.3g})',
             kind,
+            left_a,
         )
+
+    def _doubt(self, outcome: TrialOutcome) -> float:
+        """Return by how much an outcome is the worse one of two that are rivals."""
+        count = self._start.content.shape[2]
+        is_rare = outcome.kind is not None and DEAD_ZONE in outcome.kind.effects
+        log_likelihood = -float(count) * math.log(max(outcome.left_a, 1e-300))
+        return TOLD_APART * is_rare - log_likelihood
 
     def _is_better(
         self, fit: FitAssessment, estimate: Estimate, left_a: float, before_a: float
@@ -357,6 +395,13 @@ def _saved_candidates(
 def _content(backlog: Sequence[Array]) -> Array:
     """Put samples side by side, shape (signal, 1, n)."""
     return np.stack(backlog, axis=1)[:, None]
+
+
+def _dead_zone(estimate: Estimate, content: Array) -> float:
+    """Return the dead zone in V that was found, at most half of the voltage."""
+    place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
+    half_v = HALF * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
+    return min(float(estimate.value[0, place]), half_v)
 
 
 def can_tell(white_box: MotorWhiteBox, content: Array) -> bool:

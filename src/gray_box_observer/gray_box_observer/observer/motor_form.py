@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,10 +20,15 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
-from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
+from gray_box_observer.fit_test.twin_effects import (
+    LOAD_TORQUE,
+    LOST_VOLTAGE,
+    OFFSET,
+)
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.settings.motor_configuration import DEAD_ZONE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -38,7 +43,7 @@ MEASURED = 'measured'
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-EFFECT_NODES = (LOST_VOLTAGE, OFFSET, LOAD_TORQUE)
+EFFECT_NODES = (LOST_VOLTAGE, OFFSET, DEAD_ZONE, LOAD_TORQUE)
 """Context nodes of the effects of driver, sensor and load that data may add."""
 
 OF_A_ROTOR = (LOAD_TORQUE,)
@@ -50,6 +55,7 @@ _IN_WORDS = {
     MEASURED: 'the measured speed',
     LOST_VOLTAGE: 'a lost voltage',
     OFFSET: 'an offset',
+    DEAD_ZONE: 'a dead zone',
     LOAD_TORQUE: 'a load',
 }
 
@@ -64,10 +70,13 @@ class FormKind:
     Attributes:
         source: of its speed.
         effects: of driver, sensor and load that were added, by their context nodes.
+        dead_zone_v: where a dead zone was added, the command up to which nothing drives the motor,
+            in V; 0: not yet told.
     """
 
     source: str
     effects: tuple[str, ...] = ()
+    dead_zone_v: float = 0.0
 
     @property
     def in_words(self) -> str:
@@ -83,18 +92,31 @@ class FormKind:
 
     def with_effect(self, node: str) -> FormKind:
         """Return the same form with one effect more."""
-        return FormKind(self.source, (*self.effects, node))
+        return replace(self, effects=(*self.effects, node))
 
-    def without(self, node: str) -> FormKind:
-        """Return the same form without an effect."""
-        return FormKind(self.source, tuple(name for name in self.effects if name != node))
+    @property
+    def rivals(self) -> list[FormKind]:
+        """The same form with another effect that loses as many volts; none without such."""
+        return [
+            self.without(node).with_effect(RIVALS[node])
+            for node in self.effects
+            if node in RIVALS and RIVALS[node] not in self.effects
+        ]
 
+    def without(self, *nodes: str) -> FormKind:
+        """Return the same form without some effects."""
+        effects = tuple(name for name in self.effects if name not in nodes)
+        return FormKind(self.source, effects, self.dead_zone_v if DEAD_ZONE in effects else 0.0)
+
+
+RIVALS = {LOST_VOLTAGE: DEAD_ZONE, DEAD_ZONE: LOST_VOLTAGE}
+"""Effects of which one is mostly suspected for the other: both lose so many volts."""
 
 FormMaker = Callable[[FormKind], 'MotorForm']
 """Makes a form of one motor that has learnt nothing."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MotorForm:
     """What a motor is observed by; nothing in it has learnt anything when it is made.
 
@@ -106,6 +128,8 @@ class MotorForm:
         make_forecasting: makes what predicts torque, and costs a process: only of a form that is
             used; None where nothing predicts.
         scales: what is not known of the scales of the signals; None where nothing is said of it.
+        dead_zone_v: shape (motor,): commands up to which nothing drives a motor; None: there are
+            none.
     """
 
     white_box: MotorWhiteBox
@@ -114,6 +138,7 @@ class MotorForm:
     fit: FitMonitor
     make_forecasting: Callable[[], Forecasting | None]
     scales: ScaleDoubt | None = None
+    dead_zone_v: Array | None = None
 
     @property
     def can_go_on(self) -> bool:
@@ -131,6 +156,7 @@ class MotorForm:
             asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
+        content = self._driving(content)
         work = WORK_A_SAMPLE * content.shape[2]
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
@@ -156,12 +182,33 @@ class MotorForm:
         """
         nodes = self.context_nodes
         take = nodes.remember if isinstance(nodes, RotorUpdate) else nodes.learn
-        for column in content[:, 0].T:
+        for column in self._driving(content)[:, 0].T:
             take(_sample(column, stamp_ns))
 
     def residual(self, content: Array) -> float:
         """Return the root mean square of the free run's residual in A, over given samples."""
-        return residual_a(self.white_box, self.context_nodes, content)
+        return residual_a(self.white_box, self.context_nodes, self._driving(content))
+
+    def _driving(self, content: Array) -> Array:
+        """Return samples, shape (signal, 1, n), with the voltage that drives."""
+        if self.dead_zone_v is None:
+            return content
+        content = content.copy()
+        content[VOLTAGE] = driving_voltage(content[VOLTAGE], self.dead_zone_v[:, None])
+        return content
+
+
+def driving_voltage(command_v: Array, dead_zone_v: Array) -> Array:
+    """Return a command as the white box takes it: within the dead zone it drives nothing.
+
+    What the dead zone takes off a larger one is an effect of the white box.
+
+    Args:
+        command_v: in V, any shape.
+        dead_zone_v: of each motor, to be broadcast against it.
+    """
+    driving_v: Array = np.where(np.abs(command_v) > dead_zone_v, command_v, 0.0)
+    return driving_v
 
 
 def _sample(column: Array, stamp_ns: int) -> Sample:

@@ -21,7 +21,7 @@ from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.form_choice import FormChoice
-from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.motor_form import MotorForm, driving_voltage
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
 from gray_box_observer.observer.speed_tracking import SpeedTracking
@@ -106,12 +106,15 @@ class MotorObserver:
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
         self._forecast_ahead: tuple[bytes, Prediction] | None = None
+        self._dead_zone_v = form.dead_zone_v
         self._know(self._believed())
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
         if self._forecasting is None:
             return None
+        if self._dead_zone_v is not None:
+            voltage_v = driving_voltage(voltage_v, self._dead_zone_v)
         if self._forecasting.training.due_next:
             self.run_deferred()
         self._follow()
@@ -153,9 +156,10 @@ class MotorObserver:
             if ahead is None
             else self.predict(*(np.full(self.motors, value) for value in ahead))
         )
-        return self.forecasting.forecast(
-            horizon_s, np.full(self.motors, voltage_v), self._belief.theta, since
-        )
+        held_v = np.full(self.motors, voltage_v)
+        if self._dead_zone_v is not None:
+            held_v = driving_voltage(held_v, self._dead_zone_v)
+        return self.forecasting.forecast(horizon_s, held_v, self._belief.theta, since)
 
     def step(self, sample: Sample) -> tuple[DeferredUpdate, Estimate | None]:
         """Predict the sample, then learn it.
@@ -167,6 +171,8 @@ class MotorObserver:
         if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
         self._tests.begin_sample()
+        if self._dead_zone_v is not None:
+            sample = self._driving(sample)
         prediction = (
             None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
         )
@@ -291,6 +297,8 @@ class MotorObserver:
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
+        if self._dead_zone_v is not None:
+            sample = self._driving(sample)
         self._tests.complete_due()  # of samples that are learnt again nothing else is deferred
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
@@ -428,6 +436,7 @@ class MotorObserver:
             return
         self.run_deferred()
         self._tests.give_up()
+        samples = [self._driving(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -440,6 +449,12 @@ class MotorObserver:
         self._retests.update(dict.fromkeys(range(self.motors), True))
         self._know(self._believed())
         self._forecast_ahead = None
+
+    def _driving(self, sample: Sample) -> Sample:
+        """Return a sample with the voltage that drives."""
+        if self._dead_zone_v is None:
+            return sample
+        return sample._replace(voltage_v=driving_voltage(sample.voltage_v, self._dead_zone_v))
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""

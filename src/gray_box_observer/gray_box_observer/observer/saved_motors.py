@@ -9,6 +9,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.safe_io.saved_state import LARGEST, number
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import STORAGES
@@ -68,4 +69,7 @@ def _saved_kind(plain: dict[str, Any]) -> FormKind:
     else:
         source = MEASURED if plain['white_box']['speed_measured'] else THESIS
     is_list = isinstance(effects, list) and all(isinstance(node, str) for node in effects)
-    return FormKind(source, tuple(effects) if is_list else ())
+    dead_zone_v = 0.0
+    if isinstance(choice, dict) and 'dead_zone_v' in choice:  # not in files of early releases
+        dead_zone_v = number(choice, 'dead_zone_v', 0.0, LARGEST)
+    return FormKind(source, tuple(effects) if is_list else (), dead_zone_v)

@@ -94,17 +94,15 @@ class Course:
         return self.voltage_v, self.speed_rad_s, self.steady_a, self.decay_rate, self.near_a
 
 
-def gap_v(balance: Balance, theta: Sequence[Any], voltage_v: Any, signals: tuple[Any, ...]) -> Any:
+def gap_v(balance: Balance, theta: Sequence[Any], signals: tuple[Any, ...]) -> Any:
     """Voltage left for the inductance, ``L di/dt`` (thesis 4.17)."""
-    gap = balance.drive(voltage_v, signals) - LEAK_OHM * signals[State.CURRENT]
+    gap = balance.drive(signals) - LEAK_OHM * signals[State.CURRENT]
     return deducted(gap, theta[1:], balance.basis(signals))
 
 
-def slope_ohm(
-    balance: Balance, theta: Sequence[Any], voltage_v: Any, signals: tuple[Any, ...]
-) -> Any:
+def slope_ohm(balance: Balance, theta: Sequence[Any], signals: tuple[Any, ...]) -> Any:
     """How fast that voltage falls as the current rises, ``-d gap / d state``."""
-    slope = balance.drive_slope(State.CURRENT, voltage_v, signals) - LEAK_OHM
+    slope = balance.drive_slope(State.CURRENT, signals) - LEAK_OHM
     return -deducted(slope, theta[1:], balance.basis_slope(State.CURRENT, signals))
 
 
@@ -135,9 +133,9 @@ def course(
     slope = high
     balance = white_box.balances(state)[State.CURRENT]
     for _ in range(NEWTON_LIMIT):
-        signals = balance.signals((state,), speed_rad_s)
-        gap = gap_v(balance, theta, voltage_v, signals)
-        slope = slope_ohm(balance, theta, voltage_v, signals)
+        signals = balance.signals((state,), speed_rad_s, voltage_v)
+        gap = gap_v(balance, theta, signals)
+        slope = slope_ohm(balance, theta, signals)
         low, high = ops.where(gap > 0.0, state, low), ops.where(gap > 0.0, high, state)
         is_bracketed = high - low < math.inf
         middle = 0.5 * (ops.where(is_bracketed, low, 0.0) + ops.where(is_bracketed, high, 0.0))
@@ -160,7 +158,8 @@ def chord(ops: Any, white_box: WhiteBox, way: Course, state: Any) -> Any:
 def _chord(ops: Any, balance: Balance, way: Course, state: Any) -> Any:
     distance = state - way.steady_a
     far = abs(distance) > way.near_a
-    gap = gap_v(balance, way.theta, way.voltage_v, balance.signals((state,), way.speed_rad_s))
+    signals = balance.signals((state,), way.speed_rad_s, way.voltage_v)
+    gap = gap_v(balance, way.theta, signals)
     slope = gap / way.theta[0] / ops.where(far, -distance, 1.0)
     return ops.maximum(ops.where(far, slope, way.decay_rate), SLOWEST)
 

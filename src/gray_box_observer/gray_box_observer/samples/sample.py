@@ -84,7 +84,7 @@ class Sample(NamedTuple):
         speed_rad_s: float = np.nan,
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
-        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s))
+        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float)
         # As cls(...) does, without the call that every sample would pay for.
         return tuple.__new__(
             cls,

@@ -27,6 +27,9 @@ hears anything."""
 
 BACK_EMF = 'back_emf_constant'
 
+DEAD_ZONE = 'dead_zone'
+INITIAL_DEAD_ZONE = f'initial.{DEAD_ZONE}'
+
 DEFAULT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
 """What is identified of a motor that states nothing."""
 
@@ -156,13 +159,32 @@ class MotorConfiguration:
         motor.white_box(speed_measured=False)
         return motor
 
-    def with_effects(self, effects: Sequence[str]) -> MotorConfiguration:
-        """Return the same motor with effects of driver and sensor among its context nodes."""
+    def with_effects(self, effects: Sequence[str], dead_zone_v: float = 0.0) -> MotorConfiguration:
+        """Return the same motor with effects of driver and sensor among its context nodes.
+
+        Args:
+            effects: names of these nodes.
+            dead_zone_v: where identification of a dead zone starts, in V; 0: nowhere special.
+        """
         if not effects:
             return self
         nodes = [*self.values['context_nodes'], *effects]
-        values = {**self.values, 'context_nodes': nodes}
-        return replace(self, values=values, added_effects=tuple(effects))
+        motor = replace(
+            self, values={**self.values, 'context_nodes': nodes}, added_effects=tuple(effects)
+        )
+        if not dead_zone_v:
+            return motor
+        stated_names = self.stated_names | {INITIAL_DEAD_ZONE}
+        values = {**motor.values, INITIAL_DEAD_ZONE: dead_zone_v}
+        return replace(motor, values=values, stated_names=stated_names)
+
+    @property
+    def dead_zone_v(self) -> float:
+        """Command up to which nothing drives the motor, in V, as far as it is stated; else 0."""
+        if DEAD_ZONE not in self.values['context_nodes']:
+            return float(self.values[KNOWN_PARAMETERS[DEAD_ZONE]])
+        is_stated = INITIAL_DEAD_ZONE in self.stated_names
+        return float(self.values[INITIAL_DEAD_ZONE]) if is_stated else 0.0
 
     def has_value(self, name: str) -> bool:
         """Tell whether a term is identified or known already."""

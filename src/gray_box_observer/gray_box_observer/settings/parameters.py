@@ -368,8 +368,9 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'effects',
         'auto',
-        'Effects of driver and sensor (brush_drop, voltage_offset), and of a rotor its load '
-        '(load_torque): auto adds them to context_nodes where the data show them; none never does.',
+        'Effects of driver and sensor (brush_drop, voltage_offset, dead_zone), and of a rotor its '
+        'load (load_torque): auto adds them to context_nodes where the data show them; none never '
+        'does.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(

@@ -12,9 +12,8 @@ class Form:
     """A formula with derivatives, elementwise in the signals: numbers, arrays or tensors.
 
     Attributes:
-        value: the formula; of a drive it is a function of the voltage and the signals, as its
-            derivatives are.
-        partial: derivatives by every signal.
+        value: the formula, of everything that :meth:`Balance.signals` returns.
+        partial: derivatives by every state and the speed.
         total_slope: derivative by the current where the speed follows it.
     """
 
@@ -69,26 +68,28 @@ class Balance:
     speed_measured: bool
     following_speed: Callable[..., Any] | None
 
-    def signals(self, states: Sequence[Any], measured_rad_s: Any) -> tuple[Any, ...]:
-        """The states, the speed where it is none of them, and the constants."""
-        constant = self.torque_constant
+    def signals(
+        self, states: Sequence[Any], measured_rad_s: Any, voltage_v: Any
+    ) -> tuple[Any, ...]:
+        """The states, the speed where it is none of them, the constants, and the held voltage."""
+        further = self.torque_constant, voltage_v
         if self.following_speed is not None:
-            return *states, self.following_speed(*states, constant), constant
-        return (*states, measured_rad_s, constant) if self.speed_measured else (*states, constant)
+            return *states, self.following_speed(*states, self.torque_constant), *further
+        return (*states, measured_rad_s, *further) if self.speed_measured else (*states, *further)
 
-    def drive(self, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
+    def drive(self, signals: tuple[Any, ...]) -> Any:
         """Drive less every known effect."""
-        rest = voltage_v if self.drive_form is None else self.drive_form.value(voltage_v, *signals)
+        rest = signals[-1] if self.drive_form is None else self.drive_form.value(*signals)
         for constant, effect in self.known_effects:
             rest = rest - constant * effect(*signals)
         return rest
 
-    def drive_slope(self, state: int, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
+    def drive_slope(self, state: int, signals: tuple[Any, ...]) -> Any:
         """Derivative of :meth:`drive` by a state."""
         rest = (
             0.0 * signals[state]
             if self.drive_form is None
-            else self.drive_form.partial[state](voltage_v, *signals)
+            else self.drive_form.partial[state](*signals)
         )
         for constant, slope in self.known_slopes[state]:
             rest = rest - constant * slope(*signals)

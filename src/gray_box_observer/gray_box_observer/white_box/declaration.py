@@ -1,14 +1,15 @@
 """The motor, declared only here: its states, its signals, and one entry for every effect.
 
-``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i) + V_0``, thesis equations 4.1, 4.2 and 4.4
-with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants. A brush
-drop and an offset stand beside them (docs/METHOD.md, The form). A motor whose inertia is a context
-node has a second balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load``
-(docs/METHOD.md, The whole motor).
+``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i) + V_0 + V_d sign(V)``, thesis equations 4.1,
+4.2 and 4.4 with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four
+quadrants. A brush drop, an offset and a dead zone stand beside them (docs/METHOD.md, The form). A
+motor whose inertia is a context node has a second balance,
+``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The whole motor).
 
-A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators,
-numbers, ``abs`` and ``sign``. ``make physics`` differentiates the formulas and writes the forms
-that numpy, torch and compiled code use. Parameters and documentation read this file itself.
+A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`, and ``voltage``, which is
+held over an interval. It may use operators, numbers, ``abs`` and ``sign``. ``make physics``
+differentiates the formulas and writes the forms that numpy, torch and compiled code use. Parameters
+and documentation read this file itself.
 """
 
 from __future__ import annotations
@@ -156,6 +157,18 @@ _DECLARED = (
         ),
         '1',
         known_part=-5.0,
+    ),
+    Term(
+        Parameter(
+            'dead_zone',
+            'V',
+            0.5,
+            1e-3,
+            1e2,
+            'Voltage V_d that the driver takes off its command, coefficient of sign(V).',
+        ),
+        # sign(V) to 1 % beyond 0.1 V: a command of next to nothing is not turned round
+        'voltage * (0.01 + abs(voltage)) / (0.0001 + 0.01 * abs(voltage) + voltage * voltage)',
     ),
     Term(
         Parameter(

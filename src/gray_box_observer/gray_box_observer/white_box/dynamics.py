@@ -23,7 +23,11 @@ def rate(white_box: WhiteBox, theta: Any, voltage_v: Any, state: Any, speed_rad_
     speed = white_box.speed(state, speed_rad_s)
     storage, *others = (theta[..., place] for place in range(theta.shape[-1]))
     return (
-        deducted(white_box.drive(voltage_v, state, speed), others, white_box.basis(state, speed))
+        deducted(
+            white_box.drive(voltage_v, state, speed),
+            others,
+            white_box.basis(voltage_v, state, speed),
+        )
         / storage
     )
 
@@ -48,9 +52,12 @@ def integrated_regressors(
         regressors, shape (motor, ..., n, parameter), and target, shape (motor, ..., n), in V s.
     """
     speed = white_box.speed(state, speed_rad_s)
-    phis = white_box.basis(state, speed)
+    start = voltage_v, state[..., :-1], speed[..., :-1]
+    end = voltage_v, state[..., 1:], speed[..., 1:]
+    half_s = 0.5 * interval_s
     columns = [state[..., 1:] - state[..., :-1]]
-    columns += [0.5 * interval_s * (phi[..., 1:] + phi[..., :-1]) for phi in phis]
-    start = white_box.drive(voltage_v, state[..., :-1], speed[..., :-1])
-    end = white_box.drive(voltage_v, state[..., 1:], speed[..., 1:])
-    return np.stack(columns, axis=-1), 0.5 * interval_s * (start + end)
+    columns += [
+        half_s * (after + before)
+        for before, after in zip(white_box.basis(*start), white_box.basis(*end), strict=True)
+    ]
+    return np.stack(columns, axis=-1), half_s * (white_box.drive(*start) + white_box.drive(*end))

@@ -381,15 +381,15 @@ def rate(
     by_state = []
     by_coordinate = []
     for balance in white_box.balances(states[0]):
-        signals = balance.signals(states, speed_rad_s)
+        signals = balance.signals(states, speed_rad_s, voltage_v)
         inverse_storage = coefficients[balance.storage]
         others = [coefficients[place] for place in balance.places]
-        drive = balance.drive(voltage_v, signals)
+        drive = balance.drive(signals)
         basis = balance.basis(signals)
         value.append(deducted(inverse_storage * drive, others, basis))
         slopes = [
             deducted(
-                inverse_storage * balance.drive_slope(s, voltage_v, signals),
+                inverse_storage * balance.drive_slope(s, signals),
                 others,
                 balance.basis_slope(s, signals),
             )

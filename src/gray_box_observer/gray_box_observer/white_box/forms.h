@@ -5,11 +5,11 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 871875362510168629
+#define FORMS_FINGERPRINT 247061268975643002
 
 enum { CURRENT, STATES };
-enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
-    VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE };
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
+    INERTIA, VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE };
 
 #include "white_box/physics.h"
 
@@ -17,7 +17,7 @@ enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAG
 static inline int term_known(int64_t code)
 {
     return code == RESISTANCE || code == HYSTERESIS || code == BACK_EMF_CONSTANT || code ==
-        BRUSH_DROP || code == VOLTAGE_OFFSET;
+        BRUSH_DROP || code == VOLTAGE_OFFSET || code == DEAD_ZONE;
 }
 
 /* Speed in rad/s where it follows the current. */
@@ -39,7 +39,8 @@ INLINE Real current_of_torque(Real torque, Real torque_constant)
 }
 
 /* A term for a coefficient of one, and its derivatives. */
-INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Real torque_constant)
+INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Real torque_constant,
+    Real voltage)
 {
     Term t = {{0}, {{0}}};
     switch (code) {
@@ -67,6 +68,10 @@ INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Rea
     case VOLTAGE_OFFSET:
         t.value = 1.0 + 0.0 * current;
         break;
+    case DEAD_ZONE:
+        t.value = voltage * (0.01 + absolute(voltage)) / (voltage * voltage + 0.01 *
+            absolute(voltage) + 0.0001);
+        break;
     default: break;
     }
     return t;
@@ -85,7 +90,7 @@ INLINE Linear rate_of(
     UNROLL for (int k = 0; k < of.known; k++)
     {
         const Term t = term(of.codes[of.coordinates - 1 + k], of.speed_measured, current, speed,
-            box->torque_constant);
+            box->torque_constant, voltage);
         t1 -= box->constant[k] * t.value;
         t2 -= box->constant[k] * t.slope[CURRENT];
     }
@@ -94,7 +99,8 @@ INLINE Linear rate_of(
     UNROLL for (int j = 1; j < of.coordinates; j++)
     {
         const Term t = term(of.codes[j - 1], of.speed_measured, current, speed,
-            box->torque_constant);
+            box->torque_constant,
+            voltage);
         t3 -= box->p[j] * t.value;
         t4 -= box->p[j] * t.slope[CURRENT];
         linear.by_coordinate[CURRENT][j] = -(t.value);

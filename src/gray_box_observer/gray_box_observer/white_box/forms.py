@@ -11,60 +11,66 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 871875362510168629
+FINGERPRINT = 247061268975643002
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 961006683897004254
+WHOLE_MOTOR_FINGERPRINT = 81832775358610710
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
     'resistance': Form(
-        lambda current, speed, torque_constant: current,
-        (lambda current, speed, torque_constant: 1.0,
-         lambda current, speed, torque_constant: 0.0),
-        lambda current, speed, torque_constant: 1.0,
+        lambda current, speed, torque_constant, voltage: current,
+        (lambda current, speed, torque_constant, voltage: 1.0,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: 1.0,
     ),
     'hysteresis': Form(
-        lambda current, speed, torque_constant: current*abs(speed),
-        (lambda current, speed, torque_constant: abs(speed),
-         lambda current, speed, torque_constant: current*sign(speed)),
-        lambda current, speed, torque_constant: current*torque_constant*sign(speed) + abs(speed),
+        lambda current, speed, torque_constant, voltage: current*abs(speed),
+        (lambda current, speed, torque_constant, voltage: abs(speed),
+         lambda current, speed, torque_constant, voltage: current*sign(speed)),
+        lambda current, speed, torque_constant, voltage: current*torque_constant*sign(speed) + abs(speed),
     ),
     'back_emf_constant': Form(
-        lambda current, speed, torque_constant: speed,
-        (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: 1.0),
-        lambda current, speed, torque_constant: torque_constant,
+        lambda current, speed, torque_constant, voltage: speed,
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 1.0),
+        lambda current, speed, torque_constant, voltage: torque_constant,
     ),
     'brush_drop': Form(
-        lambda current, speed, torque_constant: current*(0.01 + abs(current))/(current**2 + 0.0001 + 0.01*abs(current)),
-        (lambda current, speed, torque_constant: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
-         lambda current, speed, torque_constant: 0.0),
-        lambda current, speed, torque_constant: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
+        lambda current, speed, torque_constant, voltage: current*(0.01 + abs(current))/(current**2 + 0.0001 + 0.01*abs(current)),
+        (lambda current, speed, torque_constant, voltage: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: -(-current**2*0.01 + current*0.01**2*sign(current) + current*0.01*abs(current)*sign(current) - 0.0001*0.01 - 2*0.0001*abs(current) - 0.01**2*abs(current))/(current**2 + 0.0001 + 0.01*abs(current))**2,
     ),
     'voltage_offset': Form(
-        lambda current, speed, torque_constant: 1.0 + 0.0 * current,
-        (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: 0.0),
-        lambda current, speed, torque_constant: 0.0,
+        lambda current, speed, torque_constant, voltage: 1.0 + 0.0 * current,
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: 0.0,
+    ),
+    'dead_zone': Form(
+        lambda current, speed, torque_constant, voltage: voltage*(0.01 + abs(voltage))/(0.0001 + 0.01*abs(voltage) + voltage**2),
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: 0.0,
     ),
     'viscous_friction': Form(
-        lambda current, speed, torque_constant: speed,
-        (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: 1.0),
-        lambda current, speed, torque_constant: torque_constant,
+        lambda current, speed, torque_constant, voltage: speed,
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 1.0),
+        lambda current, speed, torque_constant, voltage: torque_constant,
     ),
     'coulomb_friction': Form(
-        lambda current, speed, torque_constant: speed*(0.03 + abs(speed))/(0.0009 + 0.03*abs(speed) + speed**2),
-        (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: (0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2),
-        lambda current, speed, torque_constant: torque_constant*(0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2,
+        lambda current, speed, torque_constant, voltage: speed*(0.03 + abs(speed))/(0.0009 + 0.03*abs(speed) + speed**2),
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: (0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2),
+        lambda current, speed, torque_constant, voltage: torque_constant*(0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2,
     ),
     'load_torque': Form(
-        lambda current, speed, torque_constant: 1.0 + 0.0 * current,
-        (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: 0.0),
-        lambda current, speed, torque_constant: 0.0,
+        lambda current, speed, torque_constant, voltage: 1.0 + 0.0 * current,
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: 0.0,
     ),
 }
 """Effects by the names of their coefficients."""
@@ -72,10 +78,10 @@ EFFECTS: dict[str, Form] = {
 DRIVES: dict[State, Form | None] = {
     State.CURRENT: None,
     State.SPEED: Form(
-        lambda voltage, current, speed, torque_constant: current*torque_constant,
-        (lambda voltage, current, speed, torque_constant: torque_constant,
-         lambda voltage, current, speed, torque_constant: 0.0),
-        lambda voltage, current, speed, torque_constant: torque_constant,
+        lambda current, speed, torque_constant, voltage: current*torque_constant,
+        (lambda current, speed, torque_constant, voltage: torque_constant,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: torque_constant,
     ),
 }
 """What drives every state; ``None``: the voltage itself."""

@@ -107,5 +107,5 @@ class WhiteBox(Protocol):
     def drive(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
         """Return the drive of the measured state less every known effect, in V. Elementwise."""
 
-    def basis(self, state: Any, speed_rad_s: Any) -> list[Any]:
+    def basis(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> list[Any]:
         """Return ``phi_j`` of the measured state for every parameter but the first. Elementwise."""

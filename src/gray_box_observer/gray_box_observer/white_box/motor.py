@@ -223,12 +223,12 @@ class MotorWhiteBox:
     def drive(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
         """Voltage less every known drop, in V."""
         balance = self.balances(state)[State.CURRENT]
-        return balance.drive(voltage_v, (state, speed_rad_s, balance.torque_constant))
+        return balance.drive((state, speed_rad_s, balance.torque_constant, voltage_v))
 
-    def basis(self, state: Any, speed_rad_s: Any) -> list[Any]:
+    def basis(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> list[Any]:
         """Values of every unknown effect of the current, in the order of the context nodes."""
         balance = self.balances(state)[State.CURRENT]
-        return balance.basis((state, speed_rad_s, balance.torque_constant))
+        return balance.basis((state, speed_rad_s, balance.torque_constant, voltage_v))
 
     def state(self, torque_nm: Array) -> Array:
         """Current in A from torque (thesis 4.3)."""

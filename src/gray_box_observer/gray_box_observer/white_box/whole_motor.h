@@ -5,13 +5,13 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 961006683897004254
+#define WHOLE_MOTOR_FINGERPRINT 81832775358610710
 
 enum { CURRENT, SPEED, STATES };
-enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, INERTIA,
-    VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
+    INERTIA, VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
 static const int BALANCE_OF[COORDINATES] = {CURRENT, CURRENT, CURRENT, CURRENT, CURRENT, CURRENT,
-    SPEED, SPEED, SPEED, SPEED};
+    CURRENT, SPEED, SPEED, SPEED, SPEED};
 
 typedef struct {
     Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];
@@ -25,14 +25,16 @@ INLINE Linear rate_of(
     const Real t1 = state[CURRENT] * absolute(state[SPEED]);
     const Real t2 = state[CURRENT] * (0.01 + absolute(state[CURRENT])) / (0.01 *
         absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT]);
+    const Real t3 = voltage * (0.01 + absolute(voltage)) / (voltage * voltage + 0.01 *
+        absolute(voltage) + 0.0001);
     linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
-        - p[4] * t2 - p[5];
-    const Real t3 = 0.01 * absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT];
+        - p[4] * t2 - p[5] - p[6] * t3;
+    const Real t4 = 0.01 * absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT];
     linear.by_state[CURRENT][CURRENT] = -(p[1]) - p[2] * absolute(state[SPEED]) - p[4] * (-(0.01 *
         0.01 * state[CURRENT] * sign(state[CURRENT]) - 0.01 * 0.01 * absolute(state[CURRENT]) - 0.01
         * 0.0001 - 0.01 * (state[CURRENT] * state[CURRENT]) + 0.01 * state[CURRENT] *
         absolute(state[CURRENT]) * sign(state[CURRENT]) - 2.0 * 0.0001 * absolute(state[CURRENT])) /
-        (t3 * t3));
+        (t4 * t4));
     linear.by_state[CURRENT][SPEED] = -(p[2] * (state[CURRENT] * sign(state[SPEED]))) - p[3];
     linear.by_coordinate[CURRENT][0] = voltage;
     linear.by_coordinate[CURRENT][1] = -(state[CURRENT]);
@@ -40,30 +42,32 @@ INLINE Linear rate_of(
     linear.by_coordinate[CURRENT][3] = -(state[SPEED]);
     linear.by_coordinate[CURRENT][4] = -(t2);
     linear.by_coordinate[CURRENT][5] = -1.0;
-    linear.by_coordinate[CURRENT][6] = all(0.0);
+    linear.by_coordinate[CURRENT][6] = -(t3);
     linear.by_coordinate[CURRENT][7] = all(0.0);
     linear.by_coordinate[CURRENT][8] = all(0.0);
     linear.by_coordinate[CURRENT][9] = all(0.0);
-    const Real t4 = torque_constant * state[CURRENT];
-    const Real t5 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
+    linear.by_coordinate[CURRENT][10] = all(0.0);
+    const Real t5 = torque_constant * state[CURRENT];
+    const Real t6 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
         0.03 * absolute(state[SPEED]) + 0.0009);
-    linear.value[SPEED] = p[6] * t4 - p[7] * state[SPEED] - p[8] * t5 - p[9];
-    linear.by_state[SPEED][CURRENT] = p[6] * torque_constant;
-    const Real t6 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
-    linear.by_state[SPEED][SPEED] = -(p[7]) - p[8] * ((state[SPEED] * state[SPEED] * 0.03 -
+    linear.value[SPEED] = p[7] * t5 - p[8] * state[SPEED] - p[9] * t6 - p[10];
+    linear.by_state[SPEED][CURRENT] = p[7] * torque_constant;
+    const Real t7 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
+    linear.by_state[SPEED][SPEED] = -(p[8]) - p[9] * ((state[SPEED] * state[SPEED] * 0.03 -
         state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
         absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
-        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6));
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t7 * t7));
     linear.by_coordinate[SPEED][0] = all(0.0);
     linear.by_coordinate[SPEED][1] = all(0.0);
     linear.by_coordinate[SPEED][2] = all(0.0);
     linear.by_coordinate[SPEED][3] = all(0.0);
     linear.by_coordinate[SPEED][4] = all(0.0);
     linear.by_coordinate[SPEED][5] = all(0.0);
-    linear.by_coordinate[SPEED][6] = t4;
-    linear.by_coordinate[SPEED][7] = -(state[SPEED]);
-    linear.by_coordinate[SPEED][8] = -(t5);
-    linear.by_coordinate[SPEED][9] = -1.0;
+    linear.by_coordinate[SPEED][6] = all(0.0);
+    linear.by_coordinate[SPEED][7] = t5;
+    linear.by_coordinate[SPEED][8] = -(state[SPEED]);
+    linear.by_coordinate[SPEED][9] = -(t6);
+    linear.by_coordinate[SPEED][10] = -1.0;
     return linear;
 }
 
@@ -118,14 +122,17 @@ INLINE Linear runge_kutta_step(
     linear.by_coordinate[CURRENT][5] = t8 * here->by_coordinate[CURRENT][5] + t6 *
         r2.by_coordinate[CURRENT][5] + t4 * r3.by_coordinate[CURRENT][5] + t1 *
         r4.by_coordinate[CURRENT][5];
-    linear.by_coordinate[CURRENT][6] = t9 * here->by_coordinate[SPEED][6] + t7 *
-        r2.by_coordinate[SPEED][6] + t5 * r3.by_coordinate[SPEED][6];
+    linear.by_coordinate[CURRENT][6] = t8 * here->by_coordinate[CURRENT][6] + t6 *
+        r2.by_coordinate[CURRENT][6] + t4 * r3.by_coordinate[CURRENT][6] + t1 *
+        r4.by_coordinate[CURRENT][6];
     linear.by_coordinate[CURRENT][7] = t9 * here->by_coordinate[SPEED][7] + t7 *
         r2.by_coordinate[SPEED][7] + t5 * r3.by_coordinate[SPEED][7];
     linear.by_coordinate[CURRENT][8] = t9 * here->by_coordinate[SPEED][8] + t7 *
         r2.by_coordinate[SPEED][8] + t5 * r3.by_coordinate[SPEED][8];
     linear.by_coordinate[CURRENT][9] = t9 * here->by_coordinate[SPEED][9] + t7 *
         r2.by_coordinate[SPEED][9] + t5 * r3.by_coordinate[SPEED][9];
+    linear.by_coordinate[CURRENT][10] = t9 * here->by_coordinate[SPEED][10] + t7 *
+        r2.by_coordinate[SPEED][10] + t5 * r3.by_coordinate[SPEED][10];
     linear.value[SPEED] = start[SPEED] + t1 * (here->value[SPEED] + 2.0 * (r2.value[SPEED] +
         r3.value[SPEED]) + r4.value[SPEED]);
     const Real t10 = length * (t1 * r4.by_state[SPEED][CURRENT]);
@@ -156,9 +163,8 @@ INLINE Linear runge_kutta_step(
         r2.by_coordinate[CURRENT][4] + t10 * r3.by_coordinate[CURRENT][4];
     linear.by_coordinate[SPEED][5] = t14 * here->by_coordinate[CURRENT][5] + t12 *
         r2.by_coordinate[CURRENT][5] + t10 * r3.by_coordinate[CURRENT][5];
-    linear.by_coordinate[SPEED][6] = t15 * here->by_coordinate[SPEED][6] + t13 *
-        r2.by_coordinate[SPEED][6] + t11 * r3.by_coordinate[SPEED][6] + t1 *
-        r4.by_coordinate[SPEED][6];
+    linear.by_coordinate[SPEED][6] = t14 * here->by_coordinate[CURRENT][6] + t12 *
+        r2.by_coordinate[CURRENT][6] + t10 * r3.by_coordinate[CURRENT][6];
     linear.by_coordinate[SPEED][7] = t15 * here->by_coordinate[SPEED][7] + t13 *
         r2.by_coordinate[SPEED][7] + t11 * r3.by_coordinate[SPEED][7] + t1 *
         r4.by_coordinate[SPEED][7];
@@ -168,6 +174,9 @@ INLINE Linear runge_kutta_step(
     linear.by_coordinate[SPEED][9] = t15 * here->by_coordinate[SPEED][9] + t13 *
         r2.by_coordinate[SPEED][9] + t11 * r3.by_coordinate[SPEED][9] + t1 *
         r4.by_coordinate[SPEED][9];
+    linear.by_coordinate[SPEED][10] = t15 * here->by_coordinate[SPEED][10] + t13 *
+        r2.by_coordinate[SPEED][10] + t11 * r3.by_coordinate[SPEED][10] + t1 *
+        r4.by_coordinate[SPEED][10];
     return linear;
 }
 

@@ -64,7 +64,7 @@ def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) ->
     current, speed = np.concatenate([run.states for run in fit.fit.runs.runs]).T
     for place, name in enumerate(mechanics.nodes):
         if TERMS[name].formula:
-            effect = forms.EFFECTS[name].value(current, speed, torque_constant)
+            effect = forms.EFFECTS[name].value(current, speed, torque_constant, 0.0)
             own = values[name] / values['inertia'] * np.broadcast_to(effect, current.shape)
         else:
             own = np.concatenate(accelerations)

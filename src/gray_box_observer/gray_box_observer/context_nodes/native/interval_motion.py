@@ -62,7 +62,7 @@ def library() -> ctypes.CDLL | None:
     handle.restart_variances.argtypes = variance_types
     handle.restart_variances.restype = None
     handle.forms_fingerprint.restype = _COUNT
-    handle.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    handle.term_values.argtypes = (_COUNT, _COUNT, *4 * (_NUMBER,), ctypes.POINTER(_NUMBER))
     handle.term_values.restype = _COUNT
     return handle if handle.forms_fingerprint() == forms.FINGERPRINT else None
 
@@ -193,7 +193,7 @@ def restart_variance(
 def _known_code(code: int) -> bool:
     handle = library()
     values = (_NUMBER * 2)()
-    return handle is not None and bool(handle.term_values(code, 0, 0.0, 0.0, 0.0, values))
+    return handle is not None and bool(handle.term_values(code, 0, *4 * (0.0,), values))
 
 
 def _has_room(white_box: MotorWhiteBox) -> bool:

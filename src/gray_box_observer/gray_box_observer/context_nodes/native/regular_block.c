@@ -728,10 +728,10 @@ int64_t forms_fingerprint(void) { return FORMS_FINGERPRINT; }
  * there is such. */
 int64_t term_values(
     int64_t code, int64_t speed_measured, double current, double speed, double torque_constant,
-    double *values)
+    double voltage, double *values)
 {
     const Term found = term(code, (int)speed_measured, all(current), all(speed),
-        all(torque_constant));
+        all(torque_constant), all(voltage));
     values[0] = found.value[0];
     values[1] = found.slope[CURRENT][0];
     return term_known(code);

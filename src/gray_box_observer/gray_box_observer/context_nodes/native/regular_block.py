@@ -136,7 +136,7 @@ def library(kind: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL | None:
     handle.learn_blocks.restype = None
     handle.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
     handle.learn_due.restype = _COUNT
-    handle.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    handle.term_values.argtypes = (_COUNT, _COUNT, *4 * (_NUMBER,), ctypes.POINTER(_NUMBER))
     handle.term_values.restype = _COUNT
     handle.forms_fingerprint.restype = _COUNT
     return handle if handle.forms_fingerprint() == forms.FINGERPRINT else None
@@ -348,5 +348,5 @@ def _fits(handle: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSetting
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(handle.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
+        and all(handle.term_values(code, 0, *4 * (0.0,), values) for code in white_box.codes)
     )

@@ -34,8 +34,9 @@ def voltage_shares(white_box: WhiteBox, stretch: SampleWindow) -> Array:
     is_valid = ~stretch.restart
     speed = white_box.speed(current, stretch.speed_rad_s[:, 1:])
     voltage = _mean_square(stretch.voltage_v, is_valid)
+    basis = white_box.basis(stretch.voltage_v, current, speed)
     shares = np.zeros((current.shape[0], len(white_box.parameters)))
-    for j, phi in enumerate(white_box.basis(current, speed), start=1):
+    for j, phi in enumerate(basis, start=1):
         if not white_box.parameters[j].heats:
             shares[:, j] = np.sqrt(
                 _mean_square(phi * np.ones_like(current), is_valid) / np.maximum(voltage, 1e-300)

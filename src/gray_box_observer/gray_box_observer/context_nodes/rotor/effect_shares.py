@@ -37,13 +37,16 @@ def voltage_shares(white_box: MotorWhiteBox, theta: Array, window: Window, runs:
     torque_constant = float(white_box.torque_constant)
     current, speed = np.concatenate([run.states for run in runs.runs]).T
     voltage = np.concatenate([history.voltage_v for history in window.histories])
+    voltage_before = np.concatenate(
+        [np.append(history.voltage_v[:1], history.voltage_v) for history in window.histories]
+    )
     size_v = float(np.sqrt(np.mean(voltage**2)))
     shares = np.zeros(len(white_box.context_nodes))
     for place, name in enumerate(white_box.context_nodes):
         term = TERMS[name]
         if not term.formula or term.parameter.heats or white_box.known_parts[place]:
             continue
-        effect = forms.EFFECTS[name].value(current, speed, torque_constant)
+        effect = forms.EFFECTS[name].value(current, speed, torque_constant, voltage_before)
         volts = 1.0 if term.state is State.CURRENT else values['resistance'] / torque_constant
         shares[place] = volts * float(np.sqrt(np.mean(effect**2))) / max(size_v, 1e-300)
     return np.where(np.isfinite(shares), shares, 0.0)

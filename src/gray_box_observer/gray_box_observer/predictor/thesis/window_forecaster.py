@@ -90,8 +90,8 @@ class WindowForecaster:
             return
         if not has_ranges:
             raise ConfigurationError(
-                'the checkpoint holds the network of variant physics, expected one of the thesis: '
-                'see variant'
+                'the checkpoint holds a network without its ranges: it is damaged, or of variant '
+                'physics'
             )
         check_weights(arrays)
         weights = Weights.from_arrays(arrays, self._rules.hidden, self._layout.width)
