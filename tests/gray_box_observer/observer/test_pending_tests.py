@@ -192,7 +192,7 @@ def test_giving_up_leaves_nothing() -> None:
 
 
 def test_a_test_of_many_pieces_is_done_before_the_next_estimate_of_the_default_block() -> None:
-    work = iter(range(58))
+    work = iter(range(49))
 
     def pieces() -> Any:
         yield from work

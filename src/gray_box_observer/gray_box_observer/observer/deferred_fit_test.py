@@ -12,9 +12,10 @@ from __future__ import annotations
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.fit_test.fit_result import FitResult
 
-ALONE = 4
-"""Samples behind which one piece is done. A test that passes has about 25 pieces, one that names
-what is left out 50 to 58, and the next estimate mostly comes 32 samples later."""
+ALONE = 13
+"""Samples behind which one piece is done, and two behind each later one. A test that passes has
+about 25 pieces. One that names what is left out has 43 to 56, of which 49 are done behind 31
+samples: the next estimate waits for the last of the longest."""
 
 
 class DeferredFitTest:
