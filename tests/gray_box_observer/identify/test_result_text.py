@@ -109,6 +109,17 @@ def test_what_can_be_done_about_each_verdict_is_said() -> None:
     assert steps_of('implausible')[0].startswith('inductance, resistance, hysteresis: check')
 
 
+def test_what_the_newest_samples_do_not_bear_out_is_not_called_imprecise() -> None:
+    stds = {'resistance': 0.001, 'hysteresis': 0.1}
+    parameters = {
+        name: {**entry(2.0, std, 'ohm'), 'verdict': 'converging'} for name, std in stds.items()
+    }
+    lines = text_of(FitVerdict.OK, parameters=parameters, derived={})
+    steps = [line.split(maxsplit=2)[2] for line in lines if line.startswith('  next step')]
+    assert steps[0].startswith('hysteresis: not known to 2 % yet')
+    assert steps[1].startswith('resistance: not borne out by the newest samples yet')
+
+
 def test_nothing_is_to_be_done_about_what_is_known_or_a_misfit() -> None:
     assert steps_of('identified') == steps_of('negligible') == []
     assert steps_of('unexcited', FitVerdict.MISFIT) == []

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes import Verdict, VerdictSettings
 from gray_box_observer.fit_test.policy import SHORTEST
 from gray_box_observer.observer.verdict_advice import ADVICE
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
@@ -18,8 +18,14 @@ REMEDIES = {
 }
 """By verdict, what matters most first."""
 
+UNSETTLED = 'not borne out by the newest samples yet: record for longer'
+"""The same of what converges though its deviation is small enough."""
+
 OPEN = (Verdict.UNEXCITED.value, Verdict.CONVERGING.value)
 """Verdicts of what is not known yet."""
+
+KNOWN = VerdictSettings().identified_relative_std
+"""Deviation, relative to the value, below which a parameter may be called identified."""
 
 WORD = re.compile(r'[^\s(),;:]+')
 
@@ -60,11 +66,24 @@ def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = Fals
         if step is not None:
             steps.append(step)
             del verdicts['inductance']
-    for verdict, remedy in REMEDIES.items():
-        names = [parameter for parameter, own in verdicts.items() if own == verdict.value]
+    remedies = {
+        parameter: UNSETTLED
+        if own == Verdict.CONVERGING.value and _is_sharp(motor['parameters'][parameter])
+        else REMEDIES.get(Verdict(own))
+        for parameter, own in verdicts.items()
+    }
+    for remedy in (*REMEDIES.values(), UNSETTLED):
+        names = [parameter for parameter, own in remedies.items() if own == remedy]
         if names:
             steps.append(f'{", ".join(names)}: {remedy}')
     return steps
+
+
+def _is_sharp(entry: Mapping[str, Any]) -> bool:
+    """Tell whether the deviation alone would let a parameter be called identified."""
+    value = entry.get('value') or 0.0
+    std = entry.get('std')
+    return std is not None and bool(std < KNOWN * abs(value))
 
 
 def _of_short_time_constant(
