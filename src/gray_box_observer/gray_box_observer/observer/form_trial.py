@@ -24,7 +24,6 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import MEASURED, FormKind, FormMaker, MotorForm
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -265,7 +264,7 @@ class FormTrial:
         count = self._start.content.shape[2]
         is_rare = outcome.kind is not None and DEAD_ZONE in outcome.kind.effects
         log_likelihood = -float(count) * math.log(max(outcome.left_a, 1e-300))
-        return TOLD_APART * is_rare - log_likelihood
+        return EVIDENCE * is_rare - log_likelihood
 
     def _is_better(
         self, fit: FitAssessment, estimate: Estimate, left_a: float, before_a: float
