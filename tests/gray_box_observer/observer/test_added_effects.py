@@ -130,7 +130,7 @@ def test_a_dead_zone_is_added_and_everything_is_right(zone_v: float, speed: bool
 @pytest.mark.slow
 def test_a_dead_zone_is_found_beside_a_rotor_that_nobody_measures() -> None:
     values = {'motor.context_nodes': [*NODES_OF_THESIS]}
-    motor = fed(recorded(DEADENED, LIVELY, 12.0, 1), speed=False, **values).motors['motor']
+    motor = fed(recorded(DEADENED, LIVELY, 8.0, 3), speed=False, **values).motors['motor']
     assert motor.white_box.speed_source == 'rotor'
     assert motor.added_effects == ('dead_zone',)
     found = values_of(motor)
@@ -291,7 +291,7 @@ def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
     through = made()
     restored = []
     pieces = set()
-    for sample in samples_of(recorded(plant, LIVELY, 2.0, 1)):
+    for sample in samples_of(recorded(plant, LIVELY, 2.0, 2)):
         through.step(sample)
         for other in restored:
             other.step(sample)
@@ -327,7 +327,7 @@ def test_a_restored_motor_has_the_effects_that_it_had(lossy: Observer, tmp_path:
 
 
 def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
-    record = recorded(DEADENED, LIVELY, 4.0, 1)
+    record = recorded(DEADENED, LIVELY, 4.0, 2)
     half = record.stamp_ns.size // 2
     path = tmp_path / 'motor.safetensors'
     through, after = (Observer(Configuration.from_flat({**CONSTANTS, **NODES})) for _ in range(2))

@@ -24,7 +24,7 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.motor_form import MEASURED, FormKind, FormMaker, MotorForm
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, FormMaker, MotorForm
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -183,7 +183,8 @@ class FormTrial:
     def _steps(self) -> Pieces[TrialOutcome]:
         """Compare every candidate; the first that is better takes over what has come since.
 
-        Of two that are rivals a dead zone has to be clearly better: it is the rarer one.
+        Of two that are rivals a dead zone has to be clearly better: it is the rarer one. Beside a
+        rotor, whose fit costs most, the first counts: what it does not explain tells it later.
         """
         reasons = []
         candidates = list(self._start.candidates)
@@ -193,7 +194,7 @@ class FormTrial:
                 reasons.append(f'{kind.in_words} {outcome.reason}')
                 continue
             for rival in candidates[place + 1 :]:
-                if rival in kind.rivals:
+                if rival in kind.rivals and kind.source != ROTOR:
                     other = yield from self._compare(rival)
                     outcome = min(outcome, other, key=self._doubt)
             break
