@@ -12,9 +12,11 @@ from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.identify.result_text import _lines as text_lines
 from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.form_trial import FormTrial, TrialStart
 from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
@@ -353,6 +355,25 @@ def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
         assert abs(value - true) < max(4.0 * std, 0.01 * true), name
 
 
+def test_a_trial_of_a_motor_with_a_dead_zone_is_restored_with_the_same_forms() -> None:
+    motor = made()
+    for sample in samples_of(recorded(DEADENED, LIVELY, 2.0, 2)):
+        motor.step(sample)
+    kind = motor.form_choice.kind
+    assert kind.dead_zone_v == pytest.approx(0.8, rel=0.02)
+    candidates = kind.with_effect('voltage_offset'), kind.without('dead_zone')
+    replay = motor.context_nodes.replay
+    content = replay.newest(replay.stored(0))
+    start = TrialStart(kind, candidates, 3, 2, content, 0, 0.1)
+    budget = WorkBudget()
+    plain, arrays = FormTrial(start, motor.form_choice.form_of).state(0)
+    restored = FormTrial.restored(
+        plain, arrays, motor.white_box, kind, 2, motor.form_choice.form_of,
+        motor.form_choice.may_take, budget,
+    )  # fmt: skip
+    assert restored.state(0)[0] == plain
+
+
 @pytest.mark.parametrize('dead_zone_v', [-1.0, float('nan'), '1', None, 1e300])
 def test_a_saved_dead_zone_that_is_none_is_refused(dead_zone_v: object) -> None:
     observer = fed(recorded(DEADENED, LIVELY, 2.0, 1))
@@ -374,6 +395,9 @@ def test_a_saved_dead_zone_that_is_none_is_refused(dead_zone_v: object) -> None:
         [['measured', ['brush_drop']]],
         [['measured']],
         [['measured', 'brush_drop']] * 9,
+        [['measured', 'dead_zone', float('nan')]],
+        [['measured', 'brush_drop', 0.5]],
+        [[0.5]],
     ],
 )
 def test_candidates_that_could_not_have_been_are_refused(candidates: object) -> None:

@@ -312,7 +312,10 @@ class FormTrial:
             'stamp_ns': self._start.stamp_ns,
             'before_a': before_a if math.isfinite(before_a) else None,
             'pieces': pieces,
-            'candidates': [[kind.source, *kind.effects] for kind in self._start.candidates],
+            'candidates': [
+                [kind.source, *kind.effects, *([kind.dead_zone_v] if kind.dead_zone_v else ())]
+                for kind in self._start.candidates
+            ],
         }
         arrays = {_TRIAL: self._start.content.copy()}
         if self.backlog:
@@ -385,7 +388,11 @@ def _saved_candidates(
         entries = [] if other is None else [[other.source]]
     if isinstance(entries, list) and 0 < len(entries) <= MOST_CANDIDATES:
         kinds = tuple(
-            FormKind(one[0], tuple(one[1:])) for one in entries if isinstance(one, list) and one
+            FormKind(one[0], tuple(one[1:-1]), one[-1])
+            if isinstance(one[-1], float)
+            else FormKind(one[0], tuple(one[1:]))
+            for one in entries
+            if isinstance(one, list) and one
         )
         if len(kinds) == len(entries) and kind not in kinds and all(map(may_try, kinds)):
             return kinds
