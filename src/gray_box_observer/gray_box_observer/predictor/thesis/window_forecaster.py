@@ -90,8 +90,8 @@ class WindowForecaster:
             return
         if not has_ranges:
             raise ConfigurationError(
-                'the checkpoint holds a network without its ranges: it is damaged, or of variant '
-                'physics'
+                'the checkpoint holds a network without its ranges, expected one of the thesis: it '
+                'is damaged, or of variant physics (see variant)'
             )
         check_weights(arrays)
         weights = Weights.from_arrays(arrays, self._rules.hidden, self._layout.width)
