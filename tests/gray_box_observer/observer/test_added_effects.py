@@ -102,17 +102,23 @@ def test_a_motor_of_the_thesis_may_lose_a_voltage_too() -> None:
 
 
 @pytest.mark.slow
-def test_a_lost_voltage_is_found_beside_a_rotor_that_nobody_measures() -> None:
-    record = recorded(LOSSY, LIVELY, 6.0, 1)
+@pytest.mark.parametrize(
+    ('plant', 'duration_s', 'seed', 'effect'),
+    [(LOSSY, 6.0, 1, 'brush_drop'), (DEADENED, 8.0, 3, 'dead_zone')],
+    ids=['lost_voltage', 'dead_zone'],
+)
+def test_an_effect_is_found_beside_a_rotor_that_nobody_measures(
+    plant: PlantParameters, duration_s: float, seed: int, effect: str
+) -> None:
     values = {'motor.context_nodes': [*NODES_OF_THESIS]}
-    motor = fed(record, speed=False, **values).motors['motor']
+    motor = fed(recorded(plant, LIVELY, duration_s, seed), speed=False, **values).motors['motor']
     assert motor.white_box.speed_source == 'rotor'
-    assert motor.added_effects == ('brush_drop',)
+    assert motor.added_effects == (effect,)
     found = values_of(motor)
-    for name in ('resistance', 'brush_drop'):
+    for name in ('resistance', effect):
         value, std, verdict = found[name]
         assert verdict == 'identified', name
-        assert abs(value - getattr(LOSSY, name)) < max(4.0 * std, 0.02 * getattr(LOSSY, name))
+        assert abs(value - getattr(plant, name)) < max(4.0 * std, 0.02 * getattr(plant, name))
 
 
 @pytest.mark.parametrize('speed', [True, False], ids=['measured', 'thesis'])
@@ -127,19 +133,6 @@ def test_a_dead_zone_is_added_and_everything_is_right(zone_v: float, speed: bool
         true = getattr(plant, name)
         assert verdict == 'identified', name
         assert abs(value - true) < max(4.0 * std, 0.01 * true), name
-
-
-@pytest.mark.slow
-def test_a_dead_zone_is_found_beside_a_rotor_that_nobody_measures() -> None:
-    values = {'motor.context_nodes': [*NODES_OF_THESIS]}
-    motor = fed(recorded(DEADENED, LIVELY, 8.0, 3), speed=False, **values).motors['motor']
-    assert motor.white_box.speed_source == 'rotor'
-    assert motor.added_effects == ('dead_zone',)
-    found = values_of(motor)
-    for name in ('resistance', 'dead_zone'):
-        value, std, verdict = found[name]
-        assert verdict == 'identified', name
-        assert abs(value - getattr(DEADENED, name)) < max(4.0 * std, 0.02 * value), name
 
 
 def test_what_is_known_of_dead_zones_counts_motor_by_motor() -> None:
