@@ -28,6 +28,7 @@ from gray_box_observer.fit_test.effects import (
 )
 from gray_box_observer.fit_test.residual_analysis import EffectScore
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array
 
 WINDOW = 8
@@ -244,26 +245,13 @@ def _balance_in_pieces(
     """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
     current_a = stretch.state[0]
     interval_s = stretch.interval_s[0]
-    speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
-    voltage_v = stretch.voltage_v
-    start = voltage_v, stretch.state[:, :-1], speed[:, :-1]
-    end = voltage_v, stretch.state[:, 1:], speed[:, 1:]
-
-    def mean(before: Array, after: Array) -> Array:
-        """Return the mean over each interval, of values where it begins and ends."""
-        means: Array = np.broadcast_to(0.5 * (after + before), voltage_v.shape)[0]
-        return means
-
-    drive_v = mean(white_box.drive(*start), white_box.drive(*end))
-    bases = [*map(mean, white_box.basis(*start), white_box.basis(*end))]
-    mean_speed = interval_means(speed[0]) if white_box.speed_measured else None
+    columns, target = integrated_regressors(
+        white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
+    )
+    mean_speed = interval_means(stretch.speed_rad_s[0]) if white_box.speed_measured else None
     scene = Scene(stretch.voltage_v[0], interval_means(current_a), mean_speed, fine=True)
-    signals = [
-        np.diff(current_a),
-        *(base * interval_s for base in bases),
-        drive_v * interval_s,
-    ]
+    signals = [*columns[0].T, target[0]]
     rows = [_windowed(np.where(whole, np.stack(signals), 0.0), whole)]
     candidates = []
     for effect, alternatives in possible_effects(scene):

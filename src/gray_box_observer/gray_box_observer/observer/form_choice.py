@@ -20,12 +20,7 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
-from gray_box_observer.fit_test.twin_effects import (
-    LOAD_TORQUE,
-    LOST_VOLTAGE,
-    OFFSET,
-    TWINS,
-)
+from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
     MOST_CANDIDATES,
     NEWEST,

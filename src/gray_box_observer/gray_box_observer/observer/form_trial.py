@@ -226,13 +226,8 @@ class FormTrial:
                 other = self._make(kind)
             newest = content[:, :, -count:]
             estimate = yield from other.learn_remembered(newest, start.stamp_ns)
-            for _ in range(MOST_ROUNDS if DEAD_ZONE in kind.effects else 0):
-                dead_zone_v = _dead_zone(estimate, newest)
-                if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
-                    break
-                kind = replace(kind, dead_zone_v=dead_zone_v)
-                other = self._make(kind)
-                estimate = yield from other.learn_remembered(newest, start.stamp_ns)
+            if DEAD_ZONE in kind.effects:
+                kind, other, estimate = yield from self._settle_zone(kind, other, estimate, newest)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
                 return TrialOutcome(None, self._why_not(fit, estimate))
@@ -259,6 +254,19 @@ class FormTrial:
             kind,
             left_a,
         )
+
+    def _settle_zone(
+        self, kind: FormKind, form: MotorForm, estimate: Estimate, content: Array
+    ) -> Pieces[tuple[FormKind, MotorForm, Estimate]]:
+        """Fit a form with a dead zone again, until the commands that it swallows stay."""
+        for _ in range(MOST_ROUNDS):
+            dead_zone_v = _dead_zone(estimate, content)
+            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
+                break
+            kind = replace(kind, dead_zone_v=dead_zone_v)
+            form = self._make(kind)
+            estimate = yield from form.learn_remembered(content, self._start.stamp_ns)
+        return kind, form, estimate
 
     def _doubt(self, outcome: TrialOutcome) -> float:
         """Return by how much an outcome is the worse one of two that are rivals."""

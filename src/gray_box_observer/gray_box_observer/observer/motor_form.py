@@ -20,11 +20,7 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
-from gray_box_observer.fit_test.twin_effects import (
-    LOAD_TORQUE,
-    LOST_VOLTAGE,
-    OFFSET,
-)
+from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
