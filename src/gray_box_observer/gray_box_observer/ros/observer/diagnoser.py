@@ -11,6 +11,7 @@ from gray_box_observer.checkpoints.checkpoint_manager import CheckpointKeeper
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros import topics
+from gray_box_observer.ros.namesake import has_namesake
 from gray_box_observer.ros.observer.diagnostics import NAMESAKE, Situation, idle_status, status_of
 from gray_box_observer.ros.observer.topic_inputs import Inputs
 from gray_box_observer.ros.observer.traffic import Traffic, TrafficMeter
@@ -69,7 +70,7 @@ class Diagnoser:
         now = clock.now()
         array.header.stamp = now.to_msg()
         name = self._node.get_fully_qualified_name()
-        has_namesake = self._has_namesake(name)
+        namesake = self._warned_of_namesake(name)
         if observer is None or message_input is None:
             array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
         else:
@@ -87,7 +88,7 @@ class Diagnoser:
                 self._keeper.age_s,
                 now.nanoseconds,
                 is_simulated=clock.ros_time_is_active,  # type: ignore[attr-defined]
-                has_namesake=has_namesake,
+                has_namesake=namesake,
             )
             array.status = [_contained_status(motor, situation) for motor in self._next()]
         self._publisher.publish(array)
@@ -102,17 +103,13 @@ class Diagnoser:
         )
         return self._motors[first : first + share]
 
-    def _has_namesake(self, name: str) -> bool:
+    def _warned_of_namesake(self, name: str) -> bool:
         """Whether another node has our name, said once while it lasts; nobody can part them."""
-        node_names = [
-            f'{space.rstrip("/")}/{own}'
-            for own, space in self._node.get_node_names_and_namespaces()
-        ]
-        has_namesake = node_names.count(name) > 1
-        if has_namesake and not self._has_warned_of_namesake:
+        namesake = has_namesake(self._node)
+        if namesake and not self._has_warned_of_namesake:
             self._node.get_logger().warning(NAMESAKE.format(name))
-        self._has_warned_of_namesake = has_namesake
-        return has_namesake
+        self._has_warned_of_namesake = namesake
+        return namesake
 
     def _warn_of_strangers(self, observer: Observer, message_input: MessageInput) -> None:
         """Warn once where messages name other motors while a configured one is never named."""
