@@ -372,7 +372,7 @@ def test_who_has_the_delay_estimated_is_not_told_to_have_it_estimated() -> None:
     lagging_a = lfilter([1.0 - LAG], [1.0, -LAG], current_of(voltage_v))
     record = Record(voltage_v, np.asarray(lagging_a) + noise(SAMPLES, STD_A, 4))
     for delay, advises in ((0.0, True), ('estimate', False)):
-        fit = record.observed(delay=delay).motors['motor'].fit
+        fit = record.observed(delay=delay, effects='none').motors['motor'].fit
         assert fit.verdict is FitVerdict.MISFIT
         remedies = [one.remedy for one in fit.suspects if one.effect in LATE]
         assert remedies

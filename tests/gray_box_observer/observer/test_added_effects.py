@@ -21,6 +21,7 @@ from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
@@ -359,11 +360,10 @@ def test_a_trial_of_a_motor_with_a_dead_zone_is_restored_with_the_same_forms() -
     content = replay.newest(replay.stored(0))
     start = TrialStart(kind, candidates, 3, 2, content, 0, 0.1)
     budget = WorkBudget()
-    plain, arrays = FormTrial(start, motor.form_choice.form_of).state(0)
-    restored = FormTrial.restored(
-        plain, arrays, motor.white_box, kind, 2, motor.form_choice.form_of,
-        motor.form_choice.may_take, budget,
-    )  # fmt: skip
+    effects = ('voltage_offset', 'dead_zone')
+    open_forms = OpenForms(motor.form_choice.form_of, ('measured',), effects)
+    plain, arrays = FormTrial(start, open_forms).state(0)
+    restored = FormTrial.restored(plain, arrays, motor.white_box, kind, 2, open_forms, budget)
     assert restored.state(0)[0] == plain
 
 

@@ -303,6 +303,20 @@ def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> boo
     return (is_smooth or is_open) and moves_inductance
 
 
+def with_shifts(judgement: Judgement, shifts: Array) -> Judgement:
+    """Return a judgement that leaves parameters open together.
+
+    Args:
+        judgement: as the residual has it.
+        shifts: shape (question, parameter): standard deviations that come on top, relative to the
+            parameters, with their signs.
+    """
+    if shifts.size == 0:
+        return judgement
+    rows = np.clip(shifts, -LARGEST_SHIFT, LARGEST_SHIFT)
+    return replace(judgement, spread=judgement.spread + rows.T @ rows)
+
+
 def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:
     """Return a judgement that leaves one parameter open by a share of it.
 

@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.fit_test.current_lag import lag_doubts
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
@@ -141,7 +142,8 @@ class ResidualAnalysis:
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
             be off, each by what the residual does not show: rounding, which of two twins it is,
             noise of measured voltage and speed, least squares elsewhere, a friction that is not
-            quite that of the white box, and a speed that comes late.
+            quite that of the white box, a speed that comes late, and a lag that is not quite as
+            found.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -195,9 +197,10 @@ def analyse(
     is_drifting: bool = False,
     earlier: Evidence = NO_EVIDENCE,
     new: int | None = None,
+    lag_s: float = 0.0,
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor, at once; see :func:`analysis_in_pieces`."""
-    return completed(analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new))
+    return completed(analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new, lag_s))
 
 
 def analysis_in_pieces(
@@ -207,6 +210,7 @@ def analysis_in_pieces(
     is_drifting: bool,
     earlier: Evidence,
     new: int | None,
+    lag_s: float,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -217,6 +221,7 @@ def analysis_in_pieces(
         is_drifting: whether what heats is known to drift, which is no misfit then.
         earlier: what earlier windows have told.
         new: how many samples came after the last of these; None: all of the stretch.
+        lag_s: of the current sensor, as it was found; 0: none was.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -278,6 +283,7 @@ def analysis_in_pieces(
             for doubt in (
                 *friction_doubts(white_box, run, theta),
                 *late_speed_doubts(white_box, run, theta),
+                *lag_doubts(run, lag_s),
             )
         ),
     ]

@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.current_lag import lag_shifts
 from gray_box_observer.fit_test.data_doubts import (
     doubt_of_range,
     doubts,
@@ -44,6 +45,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
     shows_change,
     with_shift,
+    with_shifts,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analysis_in_pieces
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
@@ -58,6 +60,7 @@ from gray_box_observer.fit_test.suspects import (
 )
 from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.fit_test.voltage_level import is_held
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -274,6 +277,7 @@ class WindowTest:
         samples = content[:, 0]
         window = SampleWindow.of_content(white_box, content)
         is_drifting = motor.is_drifting
+        lag = self.configuration.current_lag
         # samples may be absurd; what is not finite is a misfit
         analysis = yield from without_warnings(
             analysis_in_pieces(
@@ -283,6 +287,7 @@ class WindowTest:
                 is_drifting,
                 motor.evidence,
                 motor.new_samples,
+                0.0 if lag is None else lag.lag_s,
             )
         )
         yield count
@@ -298,6 +303,11 @@ class WindowTest:
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
+        if lag is not None:
+            interval_s = float(median(samples[INTERVAL]))
+            stamps_exact = bool(self.configuration.values['stamps_exact'])
+            shifts = lag_shifts(white_box, theta[0], lag, interval_s, stamps_exact=stamps_exact)
+            judgement = with_shifts(judgement, shifts)
         yield 0
         content = motor.content
         data_doubts = doubts(white_box, samples, theta[0], self.configuration)

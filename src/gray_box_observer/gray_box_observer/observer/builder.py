@@ -26,19 +26,21 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice, OpenForms
+from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice
 from gray_box_observer.observer.motor_form import (
-    EFFECT_NODES,
     MEASURED,
-    OF_A_ROTOR,
+    POSSIBLE_EFFECTS,
     ROTOR,
+    SOURCES_OF,
     THESIS,
     FormKind,
     FormMaker,
     MotorForm,
 )
 from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.scale_doubt import scale_doubt
+from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
@@ -86,7 +88,7 @@ def motor_observer(
 
     def make(kind: FormKind) -> MotorForm:
         motor = first.with_rotor() if kind.source == ROTOR != source else first
-        motor = motor.with_effects(kind.effects, kind.dead_zone_v)
+        motor = motor.with_effects(kind.effects, kind.dead_zone_v, kind.lag)
         return _form(configuration, [motor], training, speed_measured=uses_speed)
 
     choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
@@ -114,7 +116,8 @@ def _form(
     def watch(motor: int) -> DelayWatch:
         initial = np.array([motors[motor].initial()])
         estimates_delay = first.estimates_delay
-        kind_of_watch = DeclaredDelay if boxes[motor].has_rotor else DelayWatch
+        is_declared = boxes[motor].has_rotor or first.current_lag is not None
+        kind_of_watch = DeclaredDelay if is_declared else DelayWatch
         return kind_of_watch(
             boxes[motor],
             initial,
@@ -132,11 +135,11 @@ def _form(
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
     fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
-    dead_zones = np.array([motor.dead_zone_v for motor in motors])
-    return MotorForm(
-        white_box, nodes, delay, fit, make_forecasting, scales,
-        dead_zones if dead_zones.any() else None,
-    )  # fmt: skip
+    dead_zone_v = np.array([motor.dead_zone_v for motor in motors])
+    path = None
+    if dead_zone_v.any() or first.current_lag is not None:
+        path = VoltagePath(dead_zone_v, first.current_lag)
+    return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales, path)
 
 
 def _form_choice(
@@ -160,14 +163,20 @@ def _form_choice(
         if obstacle is None:
             sources = (THESIS, ROTOR)
             reason = 'a speed of Kt i is assumed, as in the thesis, until the data call for a rotor'
-    effects, why_none = _open_effects(configuration, motors, has_rotor=ROTOR in sources)
+    effects, why_none = _open_effects(configuration, motors, sources)
     return FormChoice(sources[0], reason, OpenForms(make, sources, effects), why_none)
 
 
 def _open_effects(
-    configuration: Configuration, motors: Sequence[MotorConfiguration], *, has_rotor: bool
+    configuration: Configuration, motors: Sequence[MotorConfiguration], sources: Sequence[str]
 ) -> tuple[tuple[str, ...], str]:
-    """Return the effects that data may add to the form of motors, and why there are none."""
+    """Return the effects that data may add to the form of motors, and why there are none.
+
+    Args:
+        configuration: of the observer as a whole.
+        motors: alike.
+        sources: that their speed may come from.
+    """
     first = motors[0]
     if first.values['effects'] != 'auto':
         return (), 'as configured'
@@ -177,8 +186,12 @@ def _open_effects(
         return (), f'none are added: context_update is {configuration["context_update"]}'
     if first.estimates_delay:
         return (), 'none are added: the delay is estimated'
-    possible = [node for node in EFFECT_NODES if has_rotor or node not in OF_A_ROTOR]
-    return tuple(node for node in possible if not first.has_value(node)), NOTHING_ADDED
+    possible = [
+        name
+        for name in POSSIBLE_EFFECTS
+        if any(source in SOURCES_OF.get(name, sources) for source in sources)
+    ]
+    return tuple(name for name in possible if not first.has_value(name)), NOTHING_ADDED
 
 
 def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]) -> str | None:

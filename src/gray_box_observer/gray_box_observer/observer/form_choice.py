@@ -11,7 +11,7 @@ at the samples that follow, so that every door leads to the same choice
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gray_box_observer.context_nodes import ContextUpdate
@@ -31,21 +31,21 @@ from gray_box_observer.observer.form_trial import (
 )
 from gray_box_observer.observer.motor_form import (
     MEASURED,
-    OF_A_ROTOR,
     RIVALS,
     ROTOR,
     THESIS,
     FormKind,
-    FormMaker,
     MotorForm,
     residual_a,
 )
+from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.settings.motor_configuration import DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
 
 FEWEST = 256
@@ -61,42 +61,15 @@ NODES = {
     'lost_voltage': LOST_VOLTAGE,
     'dead_zone': DEAD_ZONE,
     'current_offset': OFFSET,
+    'current_lag': CURRENT_LAG,
+    'delay': CURRENT_LAG,
     LOAD: LOAD_TORQUE,
 }
-"""Context node that stands for a suspected effect, by the effect's name."""
+"""Effect that a form may have for a suspected one, by the name of that. What is late by a part of
+a sample interval is a lag or a delay: a form knows the lag alone."""
 
 NOTHING_ADDED = 'nothing in the data speaks for any'
 """Why no effects are added to a form that explains the data."""
-
-
-@dataclass(frozen=True, slots=True)
-class OpenForms:
-    """Which forms data may lead to.
-
-    Attributes:
-        make: makes one of them.
-        sources: of the speed.
-        effects: context nodes that may be added.
-    """
-
-    make: FormMaker
-    sources: tuple[str, ...]
-    effects: tuple[str, ...] = ()
-
-    @property
-    def is_choice(self) -> bool:
-        """Whether there is more than one form."""
-        return len(self.sources) > 1 or bool(self.effects)
-
-    def contains(self, kind: FormKind) -> bool:
-        """Tell whether a form is one of these, and adds no effect twice or where it cannot act."""
-        effects = kind.effects
-        is_known = kind.source in self.sources and all(node in self.effects for node in effects)
-        if kind.source != ROTOR and any(node in OF_A_ROTOR for node in effects):
-            return False
-        largest_v = TERMS[DEAD_ZONE].parameter.upper if DEAD_ZONE in effects else 0.0
-        is_known = is_known and 0.0 <= kind.dead_zone_v <= largest_v
-        return is_known and len(set(effects)) == len(effects)
 
 
 @dataclass(slots=True)
@@ -206,13 +179,19 @@ class FormChoice:
         return self._open.make(kind)
 
     def step(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, sample: Sample
+        self,
+        white_box: MotorWhiteBox,
+        nodes: ContextUpdate,
+        path: VoltagePath | None,
+        fit: FitAssessment,
+        sample: Sample,
     ) -> MotorForm | None:
         """Go on with the trial of other forms, or begin one where it is due.
 
         Args:
             white_box: the physics in force.
             nodes: the rule in force.
+            path: makes of commands the voltages that it takes; None: they are the same.
             fit: what is known of its fit.
             sample: the newest one.
 
@@ -225,16 +204,18 @@ class FormChoice:
         is_doubted = self._is_doubted(fit)
         new_count = max(0, place - self._place)
         self._budget.grant(float(sample.interval_s[0]), new_count)
-        self.is_idle = not is_doubted and self._trial is None
+        is_open = is_doubted or self._has_open_lag
+        self.is_idle = not is_open and self._trial is None
         if not is_doubted:
             self._reasons.refusal = ''
         elif not self._reasons.refusal:
             self._reasons.refusal = self._why_not_yet(self._candidates(fit))
         if self._trial is not None and new_count > 0:
-            self._trial.keep(nodes.replay.newest(min(new_count, nodes.replay.stored(0))))
+            samples = nodes.replay.newest(min(new_count, nodes.replay.stored(0)))
+            self._trial.keep(samples if path is None else path.commanded(samples))
         self._place = place
-        if self._trial is None and is_doubted and place >= self._pace.due:
-            self._trial = self._begin(white_box, nodes, fit, sample.stamp_ns)
+        if self._trial is None and is_open and place >= self._pace.due:
+            self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
             return None
         has_ended, outcome = self._budget.advance(self._trial.work)
@@ -261,7 +242,8 @@ class FormChoice:
         assert trial is not None
         self._budget.pieces = 0
         form = outcome.form
-        if form is None or not is_doubted:
+        is_same = outcome.kind is not None and outcome.kind.differs_by_lag(self.kind)
+        if form is None or not (is_doubted or is_same):
             self._pace.end(place)
             self._reasons.refusal = outcome.reason if is_doubted else ''
             return None
@@ -289,9 +271,18 @@ class FormChoice:
             return not (self.kind.source == ROTOR and likeliest == CHANGE)
         return likeliest == ROTOR and fit.verdict is FitVerdict.WARNING
 
+    @property
+    def _has_open_lag(self) -> bool:
+        """Whether a lag was found of which it is open whether it is the winding's."""
+        return self.kind.lag is not None and bool(self.kind.lag.other_order)
+
     def _candidates(self, fit: FitAssessment) -> tuple[FormKind, ...]:
         """Return the forms to try, that of the likeliest suspect first."""
         kinds: list[FormKind] = []
+        if self.kind.lag is not None:  # it may be another one than was found
+            kinds.append(replace(self.kind, lag=None))
+            if not self._is_doubted(fit):
+                return tuple(kinds)
         plain = self.kind.with_other_source
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
         for suspect in suspects:  # fits of a rotor cost most
@@ -323,7 +314,12 @@ class FormChoice:
         return [plain, kind, *kind.rivals]
 
     def _begin(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
+        self,
+        white_box: MotorWhiteBox,
+        nodes: ContextUpdate,
+        path: VoltagePath | None,
+        fit: FitAssessment,
+        stamp_ns: int,
     ) -> FormTrial | None:
         """Begin a trial on what is remembered, unless the voltage has hardly moved."""
         assert self._open is not None
@@ -343,18 +339,19 @@ class FormChoice:
             )
             return None
         self._pace.begin(self._place)
-        self._reasons.refusal = self._why_not_yet(candidates)
+        if self._is_doubted(fit):
+            self._reasons.refusal = self._why_not_yet(candidates)
         before_a = residual_a(white_box, nodes, content)
         start = TrialStart(
             self.kind,
             candidates,
             len(white_box.parameters),
             self._pace.trials,
-            content,
+            content if path is None else path.commanded(content),
             stamp_ns,
             before_a,
         )
-        return FormTrial(start, self._open.make)
+        return FormTrial(start, self._open)
 
     def _why_not_yet(self, candidates: tuple[FormKind, ...]) -> str:
         """Say that another form is still to be tried."""
@@ -371,6 +368,7 @@ class FormChoice:
             'source': self.kind.source,
             'effects': list(self.kind.effects),
             'dead_zone_v': self.kind.dead_zone_v,
+            'current_lag': _lag_state(self.kind.lag),
             'reason': self._reasons.source,
             'effects_reason': self._reasons.effects,
             'refusal': self._reasons.refusal,
@@ -430,6 +428,22 @@ class FormChoice:
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
             assert self._open is not None
             self._trial = FormTrial.restored(
-                group(plain, 'trial'), arrays, white_box, self.kind, trials, self._open.make,
-                self.may_take, self._budget,
-            )  # fmt: skip
+                group(plain, 'trial'),
+                arrays,
+                white_box,
+                self.kind,
+                trials,
+                self._open,
+                self._budget,
+            )
+
+
+def _lag_state(lag: CurrentLag | None) -> dict[str, Any] | None:
+    """Return a lag of the current as plain values; None where there is none."""
+    if lag is None:
+        return None
+    return {
+        'lag_s': lag.lag_s,
+        'winding_s': lag.winding_s,
+        'other_order': list(lag.other_order),
+    }

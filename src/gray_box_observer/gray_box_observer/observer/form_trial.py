@@ -7,8 +7,8 @@ to the same end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,10 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, FormMaker, MotorForm
+from gray_box_observer.fit_test.twin_effects import TOLD_APART
+from gray_box_observer.observer.form_fit import FormFit, FormFitter
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
+from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -32,8 +35,9 @@ from gray_box_observer.safe_io.saved_state import (
     number_or_none,
     whole,
 )
-from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE, check_signals
-from gray_box_observer.settings.motor_configuration import DEAD_ZONE
+from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -69,13 +73,6 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
-
-MOST_ROUNDS = 4
-"""Fits for one look of a form with a dead zone, after the first: which commands it swallows follows
-from the fit before."""
-
-NEAR = 0.02
-"""Share of a dead zone by which a fit moves it that is the last one."""
 
 _DECISIVE = ('inductance', 'resistance', 'inertia')
 
@@ -128,7 +125,7 @@ class FormTrial:
 
     Args:
         start: what it begins with.
-        make: makes a form of the motor.
+        open_forms: that the motor may take.
         backlog: samples that have come since, shape (signal,) each.
 
     Attributes:
@@ -138,13 +135,11 @@ class FormTrial:
     """
 
     def __init__(
-        self,
-        start: TrialStart,
-        make: FormMaker,
-        backlog: Sequence[Array] = (),
+        self, start: TrialStart, open_forms: OpenForms, backlog: Sequence[Array] = ()
     ) -> None:
         self._start = start
-        self._make = make
+        self._open = open_forms
+        self._fitter = FormFitter(open_forms, start.stamp_ns)
         self.backlog = list(backlog)
         self.adopted_count: int | None = None
         self.work = self._steps()
@@ -220,53 +215,47 @@ class FormTrial:
         content = self._start.content
         total = content.shape[2]
         before_a = start.before_a
-        other = self._make(kind)
-        for look, count in enumerate([*(look for look in LOOKS if look < total), total]):
-            if look > 0 and not other.can_go_on:
-                other = self._make(kind)
+        form: MotorForm | None = None
+        for count in [*(look for look in LOOKS if look < total), total]:
             newest = content[:, :, -count:]
-            estimate = yield from other.learn_remembered(newest, start.stamp_ns)
-            if DEAD_ZONE in kind.effects:
-                kind, other, estimate = yield from self._settle_zone(kind, other, estimate, newest)
-            fit = other.fit.assessment(0)
-            if fit.verdict is FitVerdict.MISFIT:
-                return TrialOutcome(None, self._why_not(fit, estimate))
-        left_a = other.residual(content)
-        if self._is_better(fit, estimate, left_a, before_a):
-            same = self._make(start.kind)  # the form in force may be in the midst of learning
+            fit = yield from self._fitter.first(kind, newest, form)
+            fit = yield from self._fitter.settled(fit, newest)
+            kind = fit.kind
+            form = fit.form
+            if CURRENT_LAG in kind.effects and kind.lag is None:
+                return TrialOutcome(None, 'cannot be told from them')
+            assessment = form.fit.assessment(0)
+            if assessment.verdict is FitVerdict.MISFIT:
+                return TrialOutcome(None, self._why_not(assessment, fit.estimate))
+        left_a = fit.form.residual(content)
+        if self._is_better(fit, left_a, before_a):
+            same = self._open.make(start.kind)  # the form in force may be in the midst of learning
             yield from same.learn_remembered(content, start.stamp_ns)
             before_a = min(before_a, same.residual(content))
-        if not self._is_better(fit, estimate, left_a, before_a):
-            return TrialOutcome(None, self._why_not(fit, estimate))
+        if self._is_better(fit, left_a, before_a):
+            fit = yield from self._fitter.ordered(fit, content)
+            left_a = fit.form.residual(content)
+        kind = fit.kind
+        estimate = fit.estimate
+        assessment = fit.form.fit.assessment(0)
+        if not self._is_better(fit, left_a, before_a):
+            return TrialOutcome(None, self._why_not(assessment, estimate))
         if start.kind.source == kind.source == MEASURED:
-            late = self._make(start.kind)
+            late = self._open.make(start.kind)
             newest = content[:, :, -LATE:]
             work = late.learn_remembered(newest, start.stamp_ns, asks_speed=True)
             yield from bounded(work, LATE_WORK)
             if late.fit.assessment(0).verdict in (FitVerdict.OK, FitVerdict.WARNING):
                 return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
         return TrialOutcome(
-            other,
+            fit.form,
             f'{kind.in_words} explains the data: the residual of its free run is '
-            f'{fit.ratio:.3g} times the noise, that of {start.kind.in_words} '
-            f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood '
+            f'{assessment.ratio:.3g} times the noise, that of {start.kind.in_words} '
+            f'{assessment.ratio * before_a / left_a:.3g} times (log-likelihood '
             f'{self._gain(estimate, left_a, before_a):.3g})',
             kind,
             left_a,
         )
-
-    def _settle_zone(
-        self, kind: FormKind, form: MotorForm, estimate: Estimate, content: Array
-    ) -> Pieces[tuple[FormKind, MotorForm, Estimate]]:
-        """Fit a form with a dead zone again, until the commands that it swallows stay."""
-        for _ in range(MOST_ROUNDS):
-            dead_zone_v = _dead_zone(estimate, content)
-            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
-                break
-            kind = replace(kind, dead_zone_v=dead_zone_v)
-            form = self._make(kind)
-            estimate = yield from form.learn_remembered(content, self._start.stamp_ns)
-        return kind, form, estimate
 
     def _doubt(self, outcome: TrialOutcome) -> float:
         """Return by how much an outcome is the worse one of two that are rivals."""
@@ -275,22 +264,23 @@ class FormTrial:
         log_likelihood = -float(count) * math.log(max(outcome.left_a, 1e-300))
         return EVIDENCE * is_rare - log_likelihood
 
-    def _is_better(
-        self, fit: FitAssessment, estimate: Estimate, left_a: float, before_a: float
-    ) -> bool:
+    def _is_better(self, other: FormFit, left_a: float, before_a: float) -> bool:
         """Tell whether the other form explains the data clearly better, and is told by them.
 
         Args:
-            fit: its own test.
-            estimate: its own.
+            other: it.
             left_a: root mean square in A of the residual that it leaves.
             before_a: the same of the form in force.
         """
         return (
-            _explains(fit, left_a, before_a)
-            and _is_told(estimate)
-            and self._gain(estimate, left_a, before_a) > EVIDENCE
+            _explains(other.form.fit.assessment(0), left_a, before_a)
+            and _is_told(other.estimate)
+            and self._gain(other.estimate, left_a, before_a) > self._least_gain(other.kind)
         )
+
+    def _least_gain(self, kind: FormKind) -> float:
+        """Return the log-likelihood that a form must bring: less where it is but another lag."""
+        return TOLD_APART if kind.differs_by_lag(self._start.kind) else EVIDENCE
 
     def _gain(self, estimate: Estimate, left_a: float, before_a: float) -> float:
         """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
@@ -321,8 +311,7 @@ class FormTrial:
             'before_a': before_a if math.isfinite(before_a) else None,
             'pieces': pieces,
             'candidates': [
-                [kind.source, *kind.effects, *([kind.dead_zone_v] if kind.dead_zone_v else ())]
-                for kind in self._start.candidates
+                [kind.source, *kind.effects, *_numbers_of(kind)] for kind in self._start.candidates
             ],
         }
         arrays = {_TRIAL: self._start.content.copy()}
@@ -338,8 +327,7 @@ class FormTrial:
         white_box: MotorWhiteBox,
         kind: FormKind,
         number: int,
-        make: FormMaker,
-        may_try: Callable[[FormKind], bool],
+        open_forms: OpenForms,
         budget: WorkBudget,
     ) -> FormTrial:
         """Return the trial that :meth:`state` gave; pieces that had been done are done again.
@@ -350,8 +338,7 @@ class FormTrial:
             white_box: the physics in force.
             kind: of that form.
             number: of the trial, counted from 1.
-            make: makes a form, as above.
-            may_try: tells whether a form is one that the motor may take.
+            open_forms: as above.
             budget: what the pieces are counted in.
 
         Raises:
@@ -369,20 +356,20 @@ class FormTrial:
             backlog = [*arrays[_BACKLOG][:, 0].T.copy()]
         start = TrialStart(
             kind,
-            _saved_candidates(plain, kind, may_try),
+            _saved_candidates(plain, kind, open_forms),
             len(white_box.parameters),
             number,
             arrays[_TRIAL],
             stamp_ns,
             math.inf if before_a is None else before_a,
         )
-        trial = cls(start, make, backlog)
+        trial = cls(start, open_forms, backlog)
         budget.repeat(trial.work, pieces)
         return trial
 
 
 def _saved_candidates(
-    plain: Mapping[str, Any], kind: FormKind, may_try: Callable[[FormKind], bool]
+    plain: Mapping[str, Any], kind: FormKind, open_forms: OpenForms
 ) -> tuple[FormKind, ...]:
     """Return the candidates of a saved trial.
 
@@ -395,28 +382,34 @@ def _saved_candidates(
         other = kind.with_other_source
         entries = [] if other is None else [[other.source]]
     if isinstance(entries, list) and 0 < len(entries) <= MOST_CANDIDATES:
-        kinds = tuple(
-            FormKind(one[0], tuple(one[1:-1]), one[-1])
-            if isinstance(one[-1], float)
-            else FormKind(one[0], tuple(one[1:]))
-            for one in entries
-            if isinstance(one, list) and one
-        )
-        if len(kinds) == len(entries) and kind not in kinds and all(map(may_try, kinds)):
+        kinds = tuple(_kind_of(one) for one in entries if isinstance(one, list) and one)
+        if (
+            len(kinds) == len(entries)
+            and kind not in kinds
+            and all(map(open_forms.contains, kinds))
+        ):
             return kinds
     raise CheckpointError('speed.trial.candidates are no forms that could be tried')
+
+
+def _numbers_of(kind: FormKind) -> list[float]:
+    """Return what is saved of a form behind the names of its effects."""
+    if kind.lag is not None:
+        return [kind.dead_zone_v, kind.lag.lag_s, kind.lag.winding_s]
+    return [kind.dead_zone_v] if kind.dead_zone_v else []
+
+
+def _kind_of(entries: list[Any]) -> FormKind:
+    """Return the form that was saved, whatever it is."""
+    names = [one for one in entries if not isinstance(one, float)]
+    zone_v, *times_s = [one for one in entries if isinstance(one, float)] or [0.0]
+    lag = CurrentLag(times_s[0], times_s[1]) if len(times_s) > 1 else None
+    return FormKind(names[0] if names else '', tuple(names[1:]), zone_v, lag)
 
 
 def _content(backlog: Sequence[Array]) -> Array:
     """Put samples side by side, shape (signal, 1, n)."""
     return np.stack(backlog, axis=1)[:, None]
-
-
-def _dead_zone(estimate: Estimate, content: Array) -> float:
-    """Return the dead zone in V that was found, at most half of the voltage."""
-    place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
-    half_v = HALF * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
-    return min(float(estimate.value[0, place]), half_v)
 
 
 def can_tell(white_box: MotorWhiteBox, content: Array) -> bool:

@@ -22,9 +22,11 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
+from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.motor_configuration import DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -39,11 +41,13 @@ MEASURED = 'measured'
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-EFFECT_NODES = (LOST_VOLTAGE, OFFSET, DEAD_ZONE, LOAD_TORQUE)
-"""Context nodes of the effects of driver, sensor and load that data may add."""
+POSSIBLE_EFFECTS = (LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG, LOAD_TORQUE)
+"""Effects of driver, sensor and load that data may add: names of their context nodes, and the lag
+of the current sensor, which is none."""
 
-OF_A_ROTOR = (LOAD_TORQUE,)
-"""Of these, what only a motor with a rotor may have."""
+SOURCES_OF = {LOAD_TORQUE: (ROTOR,), CURRENT_LAG: (THESIS, ROTOR)}
+"""Sources of the speed beside which an effect may be added, where not beside all: a measured speed
+would have to lag as the current does."""
 
 _IN_WORDS = {
     THESIS: 'a speed of Kt i',
@@ -52,6 +56,7 @@ _IN_WORDS = {
     LOST_VOLTAGE: 'a lost voltage',
     OFFSET: 'an offset',
     DEAD_ZONE: 'a dead zone',
+    CURRENT_LAG: 'a lag of the current',
     LOAD_TORQUE: 'a load',
 }
 
@@ -65,14 +70,16 @@ class FormKind:
 
     Attributes:
         source: of its speed.
-        effects: of driver, sensor and load that were added, by their context nodes.
+        effects: of driver, sensor and load that were added.
         dead_zone_v: where a dead zone was added, the command up to which nothing drives the motor,
             in V; 0: not yet told.
+        lag: where one of the current was added; None: not yet told.
     """
 
     source: str
     effects: tuple[str, ...] = ()
     dead_zone_v: float = 0.0
+    lag: CurrentLag | None = None
 
     @property
     def in_words(self) -> str:
@@ -88,7 +95,7 @@ class FormKind:
 
     def with_effect(self, node: str) -> FormKind:
         """Return the same form with one effect more."""
-        return replace(self, effects=(*self.effects, node))
+        return replace(self, effects=(*self.effects, node), lag=self._lag_in_either_order)
 
     @property
     def rivals(self) -> list[FormKind]:
@@ -102,7 +109,21 @@ class FormKind:
     def without(self, *nodes: str) -> FormKind:
         """Return the same form without some effects."""
         effects = tuple(name for name in self.effects if name not in nodes)
-        return FormKind(self.source, effects, self.dead_zone_v if DEAD_ZONE in effects else 0.0)
+        return FormKind(
+            self.source,
+            effects,
+            self.dead_zone_v if DEAD_ZONE in effects else 0.0,
+            self._lag_in_either_order if CURRENT_LAG in effects else None,
+        )
+
+    def differs_by_lag(self, other: FormKind) -> bool:
+        """Tell whether another form is this one but for a lag of the current."""
+        return replace(self, lag=None) == replace(other, lag=None)
+
+    @property
+    def _lag_in_either_order(self) -> CurrentLag | None:
+        """The lag, without what data tell of its order: that is of this form alone."""
+        return None if self.lag is None else self.lag._replace(other_order=())
 
 
 RIVALS = {LOST_VOLTAGE: DEAD_ZONE, DEAD_ZONE: LOST_VOLTAGE}
@@ -124,8 +145,8 @@ class MotorForm:
         make_forecasting: makes what predicts torque, and costs a process: only of a form that is
             used; None where nothing predicts.
         scales: what is not known of the scales of the signals; None where nothing is said of it.
-        dead_zone_v: shape (motor,): commands up to which nothing drives a motor; None: there are
-            none.
+        voltage_path: makes of commands the voltages that the white box takes; None: they are the
+            same.
     """
 
     white_box: MotorWhiteBox
@@ -134,7 +155,7 @@ class MotorForm:
     fit: FitMonitor
     make_forecasting: Callable[[], Forecasting | None]
     scales: ScaleDoubt | None = None
-    dead_zone_v: Array | None = None
+    voltage_path: VoltagePath | None = None
 
     @property
     def can_go_on(self) -> bool:
@@ -142,20 +163,30 @@ class MotorForm:
         return isinstance(self.context_nodes, RotorUpdate)
 
     def learn_remembered(
-        self, content: Array, stamp_ns: int, *, asks_speed: bool = False
+        self,
+        content: Array,
+        stamp_ns: int,
+        *,
+        start: Array | None = None,
+        asks_speed: bool = False,
     ) -> Pieces[Estimate]:
         """Learn the samples that another form remembers, all at once, and test the fit.
 
         Args:
             content: shape (signal, 1, n), as a replay buffer gives it.
             stamp_ns: of the newest of them.
+            start: shape (1, parameter): where nearly the same form has explained them; None:
+                nowhere.
             asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
-        content = self._driving(content)
+        if self.voltage_path is not None:
+            content = self.voltage_path.follow_content(content)
         work = WORK_A_SAMPLE * content.shape[2]
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
+            if start is not None:
+                nodes.begin_at(start)
             yield from nodes.learn_remembered(content, stamp_ns)
         elif isinstance(nodes, MeasuredSpeedUpdate):
             yield from nodes.learn_remembered(content, newest, asks_speed=asks_speed)
@@ -178,33 +209,18 @@ class MotorForm:
         """
         nodes = self.context_nodes
         take = nodes.remember if isinstance(nodes, RotorUpdate) else nodes.learn
-        for column in self._driving(content)[:, 0].T:
-            take(_sample(column, stamp_ns))
+        path = self.voltage_path
+        for column in content[:, 0].T:
+            sample = _sample(column, stamp_ns)
+            take(sample if path is None else path.follow(sample, is_kept=True))
 
     def residual(self, content: Array) -> float:
         """Return the root mean square of the free run's residual in A, over given samples."""
-        return residual_a(self.white_box, self.context_nodes, self._driving(content))
+        return residual_a(self.white_box, self.context_nodes, self.driven(content))
 
-    def _driving(self, content: Array) -> Array:
-        """Return samples, shape (signal, 1, n), with the voltage that drives."""
-        if self.dead_zone_v is None:
-            return content
-        content = content.copy()
-        content[VOLTAGE] = driving_voltage(content[VOLTAGE], self.dead_zone_v[:, None])
-        return content
-
-
-def driving_voltage(command_v: Array, dead_zone_v: Array) -> Array:
-    """Return a command as the white box takes it: within the dead zone it drives nothing.
-
-    What the dead zone takes off a larger one is an effect of the white box.
-
-    Args:
-        command_v: in V, any shape.
-        dead_zone_v: of each motor, to be broadcast against it.
-    """
-    driving_v: Array = np.where(np.abs(command_v) > dead_zone_v, command_v, 0.0)
-    return driving_v
+    def driven(self, content: Array) -> Array:
+        """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""
+        return content if self.voltage_path is None else self.voltage_path.driving(content)
 
 
 def _sample(column: Array, stamp_ns: int) -> Sample:

@@ -21,7 +21,7 @@ from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.form_choice import FormChoice
-from gray_box_observer.observer.motor_form import MotorForm, driving_voltage
+from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
 from gray_box_observer.observer.speed_tracking import SpeedTracking
@@ -106,15 +106,19 @@ class MotorObserver:
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
         self._forecast_ahead: tuple[bytes, Prediction] | None = None
-        self._dead_zone_v = form.dead_zone_v
+        self._voltage_path = form.voltage_path
         self._know(self._believed())
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
+        if self._voltage_path is not None:
+            voltage_v = self._voltage_path.voltage(interval_s, voltage_v)
+        return self._predict(interval_s, voltage_v)
+
+    def _predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
+        """Forecast the torque after a voltage as the white box takes it; changes nothing."""
         if self._forecasting is None:
             return None
-        if self._dead_zone_v is not None:
-            voltage_v = driving_voltage(voltage_v, self._dead_zone_v)
         if self._forecasting.training.due_next:
             self.run_deferred()
         self._follow()
@@ -151,14 +155,14 @@ class MotorObserver:
         """
         if self.forecasting is None:
             return None
-        since = (
-            None
-            if ahead is None
-            else self.predict(*(np.full(self.motors, value) for value in ahead))
-        )
         held_v = np.full(self.motors, voltage_v)
-        if self._dead_zone_v is not None:
-            held_v = driving_voltage(held_v, self._dead_zone_v)
+        before = None
+        if ahead is not None:
+            before = np.full(self.motors, ahead[0]), np.full(self.motors, ahead[1])
+        since = None if before is None else self.predict(*before)
+        if self._voltage_path is not None:
+            held_s = np.full(self.motors, horizon_s)
+            held_v = self._voltage_path.voltage_after(before, held_s, held_v)
         return self.forecasting.forecast(horizon_s, held_v, self._belief.theta, since)
 
     def step(self, sample: Sample) -> tuple[DeferredUpdate, Estimate | None]:
@@ -171,11 +175,8 @@ class MotorObserver:
         if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
         self._tests.begin_sample()
-        if self._dead_zone_v is not None:
-            sample = self._driving(sample)
-        prediction = (
-            None if self._forecasting is None else self.predict(sample.interval_s, sample.voltage_v)
-        )
+        sample = self._driven(sample)
+        prediction = self._predict(sample.interval_s, sample.voltage_v)
         belief = self._belief
         update = DeferredUpdate(
             sample, prediction, belief.theta, belief.covariance, belief.is_identified
@@ -223,7 +224,9 @@ class MotorObserver:
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
         fit = self._fit.assessment(0)
-        self._go_over(self.form_choice.step(self.white_box, self.context_nodes, fit, sample))
+        path = self._voltage_path
+        form = self.form_choice.step(self.white_box, self.context_nodes, path, fit, sample)
+        self._go_over(form)
 
     def finish(self) -> bool:
         """Do what is left of fits, tests and a trial of another form: no samples will come.
@@ -295,10 +298,16 @@ class MotorObserver:
         forecasting = self.forecasting
         return None if forecasting is None else forecasting.alarm
 
+    def learn_again(self, sample: Sample) -> Estimate | None:
+        """Learn a sample that was predicted and scored before; return what has changed."""
+        return self.update_parameters(self._driven(sample))
+
     def update_parameters(self, sample: Sample) -> Estimate | None:
-        """Learn a predicted and scored sample; return the estimates that have changed."""
-        if self._dead_zone_v is not None:
-            sample = self._driving(sample)
+        """Learn a predicted and scored sample; return the estimates that have changed.
+
+        Args:
+            sample: with the voltage that the white box takes.
+        """
         self._tests.complete_due()  # of samples that are learnt again nothing else is deferred
         has_changed = self.context_nodes.learn(sample)
         if self._forecasting is not None:
@@ -436,7 +445,7 @@ class MotorObserver:
             return
         self.run_deferred()
         self._tests.give_up()
-        samples = [self._driving(sample) for sample in samples]
+        samples = [self._driven(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -450,11 +459,11 @@ class MotorObserver:
         self._know(self._believed())
         self._forecast_ahead = None
 
-    def _driving(self, sample: Sample) -> Sample:
-        """Return a sample with the voltage that drives."""
-        if self._dead_zone_v is None:
+    def _driven(self, sample: Sample) -> Sample:
+        """Go on by a sample; return it with the voltage that the white box takes."""
+        if self._voltage_path is None:
             return sample
-        return sample._replace(voltage_v=driving_voltage(sample.voltage_v, self._dead_zone_v))
+        return self._voltage_path.follow(sample, is_kept=not self._is_frozen)
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""
@@ -475,10 +484,12 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         speed, trial = self.form_choice.state(place)
         mechanics = self._belief.mechanics
+        path, commands = ({}, {}) if self._voltage_path is None else self._voltage_path.state(motor)
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
             **({'mechanics': list(mechanics)} if mechanics else {}),
+            **({'voltage_path': path} if path else {}),
             'delay': self.delay.state(motor),
             'fit': self._fit.state(motor, place, self._tests.later_result()),
             'speed': speed,
@@ -488,7 +499,13 @@ class MotorObserver:
         if self._belief.level is not None:
             content['level'] = self._belief.level.state(place)
         alarm = {} if self.alarm is None else self.alarm.state(motor)
-        groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
+        groups = {
+            'nodes': arrays,
+            'network': network,
+            'alarm': alarm,
+            'speed': trial,
+            'voltage_path': commands,
+        }
         return content, {
             f'{group}/{name}': array
             for group, part in groups.items()
@@ -524,6 +541,9 @@ class MotorObserver:
         place = int(self.context_nodes.replay.received[motor])
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
+        if self._voltage_path is not None and 'voltage_path' in plain:
+            saved_path = group(plain, 'voltage_path')
+            self._voltage_path.restore(saved_path, _group(arrays, 'voltage_path'), motor)
         later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
         self._tests.restore(later_result)
         if self._is_frozen:  # no estimate will follow

@@ -507,7 +507,7 @@ class Observer:
             observer = group.observer
             assert observer is not None
             if pairing.repeats(sample):  # it was predicted, scored and reported before
-                again = observer.update_parameters(sample)
+                again = observer.learn_again(sample)
                 if again is not None and not again.is_finite:
                     raise ArithmeticError(NOT_FINITE)
                 if again is not None and results:

@@ -9,10 +9,15 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
-from gray_box_observer.safe_io.saved_state import LARGEST, number
+from gray_box_observer.safe_io.saved_state import LARGEST, ArrayRule, number, numbers
+from gray_box_observer.safe_io.saved_state import group as group_of
+from gray_box_observer.settings.sensor_lag import LONGEST_S, SHORTEST_S, CurrentLag
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import STORAGES
+
+MOST_SHIFT = 1e3
+"""Largest shift of a logarithm that is credible in a saved form."""
 
 SavedMotor = tuple[dict[str, Any], dict[str, Array]]
 """What :meth:`MotorObserver.state` gives of a motor: plain values and arrays."""
@@ -72,4 +77,17 @@ def _saved_kind(plain: dict[str, Any]) -> FormKind:
     dead_zone_v = 0.0
     if isinstance(choice, dict) and 'dead_zone_v' in choice:  # not in files of early releases
         dead_zone_v = number(choice, 'dead_zone_v', 0.0, LARGEST)
-    return FormKind(source, tuple(effects) if is_list else (), dead_zone_v)
+    return FormKind(source, tuple(effects) if is_list else (), dead_zone_v, _saved_lag(choice))
+
+
+def _saved_lag(choice: Any) -> CurrentLag | None:
+    """Return the lag of the current of a saved form; None where there is none."""
+    if not isinstance(choice, dict) or choice.get('current_lag') is None:
+        return None
+    saved_lag = group_of(choice, 'current_lag')
+    order = numbers(saved_lag, 'other_order', ArrayRule((None,), -MOST_SHIFT, MOST_SHIFT))
+    return CurrentLag(
+        number(saved_lag, 'lag_s', SHORTEST_S, LONGEST_S),
+        number(saved_lag, 'winding_s', SHORTEST_S, LONGEST_S),
+        tuple(order.tolist()),
+    )

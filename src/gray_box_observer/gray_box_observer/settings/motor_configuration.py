@@ -15,6 +15,7 @@ from gray_box_observer.settings.parameters import (
     ROTOR_NODES,
     ParameterSpec,
 )
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import TERMS, State
 
@@ -28,6 +29,7 @@ hears anything."""
 BACK_EMF = 'back_emf_constant'
 
 DEAD_ZONE = 'dead_zone'
+CURRENT_LAG = 'current_lag'
 INITIAL_DEAD_ZONE = f'initial.{DEAD_ZONE}'
 
 DEFAULT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
@@ -49,7 +51,8 @@ class MotorConfiguration:
         values: by the names of MOTOR_PARAMETERS.
         stated_names: names of those that the user has stated; the others have their defaults, which
             say nothing of it.
-        added_effects: context nodes that data have added.
+        added_effects: effects of driver, sensor and load that data have added.
+        current_lag: of the current sensor; None: there is none.
         reads_current: whether its torque is read as a current, so that Kt scales no estimate of
             the voltage balance but those of its speed.
     """
@@ -58,6 +61,7 @@ class MotorConfiguration:
     values: Mapping[str, Any]
     stated_names: frozenset[str] = frozenset()
     added_effects: tuple[str, ...] = ()
+    current_lag: CurrentLag | None = None
     reads_current: bool = False
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
@@ -159,18 +163,24 @@ class MotorConfiguration:
         motor.white_box(speed_measured=False)
         return motor
 
-    def with_effects(self, effects: Sequence[str], dead_zone_v: float = 0.0) -> MotorConfiguration:
-        """Return the same motor with effects of driver and sensor among its context nodes.
+    def with_effects(
+        self, effects: Sequence[str], dead_zone_v: float = 0.0, lag: CurrentLag | None = None
+    ) -> MotorConfiguration:
+        """Return the same motor with effects of driver and sensor, most among its context nodes.
 
         Args:
-            effects: names of these nodes.
+            effects: their names.
             dead_zone_v: where identification of a dead zone starts, in V; 0: nowhere special.
+            lag: of the current sensor; None: there is none.
         """
         if not effects:
             return self
-        nodes = [*self.values['context_nodes'], *effects]
+        nodes = [*self.values['context_nodes'], *(name for name in effects if name in TERMS)]
         motor = replace(
-            self, values={**self.values, 'context_nodes': nodes}, added_effects=tuple(effects)
+            self,
+            values={**self.values, 'context_nodes': nodes},
+            added_effects=tuple(effects),
+            current_lag=lag,
         )
         if not dead_zone_v:
             return motor

@@ -264,6 +264,14 @@ class RotorUpdate:
         is_before = self._learner.memory is None and not self._is_frozen
         return is_before and self._schedule.has_news
 
+    def begin_at(self, theta: Array) -> None:
+        """Begin where nearly the same white box has explained the same samples.
+
+        Args:
+            theta: shape (1, parameter): there.
+        """
+        self._learner.begin_at(theta[0])
+
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.
 

@@ -111,6 +111,16 @@ class WindowLearner:
         result: Array = np.exp(self.logarithms).clip(self._lower, self._upper)
         return result
 
+    def begin_at(self, theta: Array) -> None:
+        """Begin where nearly the same white box has explained the same samples.
+
+        Args:
+            theta: shape (parameter,): there.
+        """
+        self.logarithms = np.log(np.clip(theta, self._lower, self._upper))
+        self.is_settled = True
+        self.has_rivals = False
+
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; tell whether a fit was found. Before that nothing changes.
 

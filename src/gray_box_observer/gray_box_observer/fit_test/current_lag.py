@@ -1,0 +1,123 @@
+"""The lag of a current sensor: how much of it a free run shows, and what hides behind it.
+
+A current that lags is less by ``lag di/dt``, which passes the same filter. Beside the parameters
+the residual tells by how much a lag is off, in one Gauss-Newton step. A winding and a sensor are
+two first-order lags in a row, whose order the current does not show: either may be the winding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, recurrence
+from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.projection import Doubt
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.stamp_errors import STAMP_STD
+from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.settings.sensor_lag import CurrentLag
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.interface import Array
+
+NONLINEAR = 2e-3
+"""Share of every parameter that friction and hysteresis leave open, behind a lag."""
+
+LEAST = 1e-6
+"""Share of a sample interval: a lag that is less is none."""
+
+
+def lag_step(
+    white_box: MotorWhiteBox, theta: Array, content: Array, lag_s: float
+) -> tuple[float, float]:
+    """Return by how much a lag is too short, and the standard deviation of that, in s.
+
+    Args:
+        white_box: of one motor.
+        theta: shape (1, parameter): values that were found with the lag.
+        content: shape (signal, 1, n): samples, with the voltages that the white box takes.
+        lag_s: the lag; 0: none was assumed.
+    """
+    stretch = SampleWindow.of_content(white_box, np.ascontiguousarray(content))
+    run_freely = rotor_free_run if white_box.has_rotor else free_run
+    run = run_freely(white_box, to_coordinates(theta), stretch)
+    columns = run.jacobian[:, 1:]
+    _, distinct = run.explain(_by_lag(run, lag_s), columns)
+    noise_a = MAD_TO_STD * float(median(np.abs(run.residual_a)))
+    residual = run.residual_a * np.sqrt(run.weight)
+    power = float(distinct @ distinct)
+    if not power > 0.0:
+        return 0.0, np.inf
+    return float(distinct @ residual) / power, noise_a / np.sqrt(power)
+
+
+def _by_lag(run: FreeRun, lag_s: float) -> Array:
+    """Differentiate the current of a run by the lag, shape (k + 1,), in A/s."""
+    interval_s = run.stretch.interval_s[0]
+    least_s = LEAST * float(median(interval_s[interval_s > 0.0]))
+    is_whole = run.is_whole
+    slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
+    remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
+    inputs = (1.0 - remainder) * slope
+    by_lag: Array = -recurrence(remainder[None], inputs[None, None], np.zeros((1, 1)))[0, 0]
+    return by_lag
+
+
+def lag_doubts(run: FreeRun, lag_s: float) -> list[Doubt]:
+    """Return what a lag that was found not quite right does to an estimate.
+
+    Args:
+        run: the free run at the present values.
+        lag_s: the lag; 0: none was found.
+    """
+    return [Doubt(lag_s * _by_lag(run, lag_s))] if lag_s else []
+
+
+def lag_shifts(
+    white_box: MotorWhiteBox,
+    theta: Array,
+    lag: CurrentLag,
+    interval_s: float,
+    *,
+    stamps_exact: bool,
+) -> Array:
+    """Return how far parameters may be off beside a lag that was found, relative to them.
+
+    * The winding may be the sensor, and the sensor the winding.
+    * Stamps that are late by ``d`` look like another lag, and move L/R by ``d lag / (L/R - lag)``:
+      so the sum of all delays stays, and that of their squares.
+    * The voltage that moves the winding to the right end of an interval moves it by another mean,
+      which a rotor takes over. R and L come out smaller by a twelfth of
+      ``interval^2 / (L/R R J / (Kb Kt))``, J larger.
+    * What is not linear does not change places with a lag.
+
+    Args:
+        white_box: of one motor.
+        theta: shape (parameter,): its values.
+        lag: of the current.
+        interval_s: usual sample interval.
+        stamps_exact: whether voltage acts at the instant of its stamp.
+
+    Returns:
+        Shape (question, parameter).
+    """
+    names = [parameter.name for parameter in white_box.parameters]
+    values = white_box.values(theta)
+    winding_s = values['inductance'] / values['resistance']
+    shifts = list(np.diag(np.full(len(names), NONLINEAR)))
+    if len(lag.other_order) == len(names):
+        shifts.append(np.array(lag.other_order))
+    if not stamps_exact:
+        apart_s = max(abs(winding_s - lag.lag_s), LEAST * lag.lag_s)
+        share = STAMP_STD * interval_s * lag.lag_s / (apart_s * winding_s)
+        shifts.append(np.array([share * (name == 'inductance') for name in names]))
+    if white_box.has_rotor:
+        stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
+        square_s2 = values['inductance'] * values['inertia'] / stiffness
+        share = interval_s**2 / (12.0 * square_s2)
+        shifts.append(np.array([share * _OF_THE_MEAN.get(name, 0.0) for name in names]))
+    return np.stack(shifts)
+
+
+_OF_THE_MEAN = {'inductance': -1.0, 'resistance': -1.0, 'inertia': 1.0}

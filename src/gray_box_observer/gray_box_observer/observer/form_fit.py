@@ -1,0 +1,205 @@
+"""Fits a form of the physics to remembered samples, until what its voltage depends on stays.
+
+A dead zone and a lag of the current change the voltage that the white box takes. The samples are
+fit with those of the fit before, until a fit moves them no more (docs/METHOD.md, Which effects).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.fit_test.current_lag import lag_step
+from gray_box_observer.fit_test.effects import LATE
+from gray_box_observer.fit_test.twin_effects import TOLD_APART
+from gray_box_observer.observer.motor_form import WORK_A_SAMPLE, FormKind, MotorForm
+from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.sensor_lag import CurrentLag
+from gray_box_observer.white_box.interface import Array
+
+MOST_ZONES, MOST_LAGS = 4, 6
+"""Fits of a form with a dead zone, and of one with a lag, after the first."""
+
+LARGEST_ZONE = 0.5
+"""Largest dead zone, as a share of the root mean square of the command."""
+
+LONGEST_STEP = 3.0
+"""Factor by which a fit makes a lag longer or shorter at most."""
+
+FIRST_LAG = 1.0
+"""The longest lag after the first fit, in sample intervals."""
+
+SURE_LAG = 5.0
+"""Standard deviations that the first lag must be long; what it explains tells the rest."""
+
+NEAR, NEAR_WINDING = 0.02, 0.05
+"""Share of a dead zone, or of a lag, by which the last fit moves it at most; the same of L/R, on
+which little depends."""
+
+NEAR_STDS = 0.5
+"""Standard deviations of a lag that are as near."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormFit:
+    """What a form has learnt of some samples.
+
+    Attributes:
+        kind: of the form.
+        form: itself.
+        estimate: what it has learnt.
+    """
+
+    kind: FormKind
+    form: MotorForm
+    estimate: Estimate
+
+
+class FormFitter:
+    """Fits forms of one motor to samples.
+
+    Args:
+        open_forms: that the motor may take.
+        stamp_ns: of the newest sample.
+    """
+
+    def __init__(self, open_forms: OpenForms, stamp_ns: int) -> None:
+        self._open = open_forms
+        self._stamp_ns = stamp_ns
+
+    def first(
+        self, kind: FormKind, content: Array, before: MotorForm | None = None
+    ) -> Pieces[FormFit]:
+        """Fit a form to samples.
+
+        Args:
+            kind: of the form.
+            content: shape (signal, 1, n): the samples.
+            before: the form that has learnt fewer of them, where it can go on; None: none has.
+        """
+        form = self._open.make(kind) if before is None or not before.can_go_on else before
+        estimate = yield from form.learn_remembered(content, self._stamp_ns)
+        return FormFit(kind, form, estimate)
+
+    def again(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit nearly the same form to the same samples.
+
+        Args:
+            kind: of the form.
+            before: what it was.
+            content: the samples.
+        """
+        form = self._open.make(kind)
+        start = before.estimate.value
+        estimate = yield from form.learn_remembered(content, self._stamp_ns, start=start)
+        return FormFit(kind, form, estimate)
+
+    def settled(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form again, until its dead zone and its lag stay; other forms stay as they are.
+
+        Where what it leaves looks like a lag first of all, it gets one.
+        """
+        if DEAD_ZONE in fit.kind.effects:
+            fit = yield from self._with_settled_zone(fit, content)
+        if self._is_late(fit):
+            fit = replace(fit, kind=fit.kind.with_effect(CURRENT_LAG))
+        if CURRENT_LAG in fit.kind.effects:
+            fit = yield from self._with_settled_lag(fit, content)
+        return fit
+
+    def _with_settled_zone(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form with a dead zone again, until the commands that it swallows stay."""
+        for _ in range(MOST_ZONES):
+            kind = fit.kind
+            dead_zone_v = _dead_zone(fit.estimate, content)
+            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
+                break
+            kind = replace(kind, dead_zone_v=dead_zone_v)
+            fit = yield from self.again(kind, fit, content)
+        return fit
+
+    def _is_late(self, fit: FormFit) -> bool:
+        """Tell whether what a form leaves looks like a lag of the current, first of all."""
+        suspects = fit.form.fit.assessment(0).suspects
+        is_likeliest = bool(suspects) and suspects[0].effect in LATE
+        kind = fit.kind
+        is_new = CURRENT_LAG not in kind.effects
+        return is_likeliest and is_new and self._open.contains(kind.with_effect(CURRENT_LAG))
+
+    def _with_settled_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form again, until its lag of the current stays; it has none where none is seen."""
+        interval_s = content[INTERVAL, 0]
+        usual_s = float(median(interval_s[interval_s > 0.0]))
+        for _ in range(MOST_LAGS):
+            form = fit.form
+            before = fit.kind.lag
+            lag_s = 0.0 if before is None else before.lag_s
+            theta = fit.estimate.value
+            step_s, std_s = lag_step(form.white_box, theta, form.driven(content), lag_s)
+            yield WORK_A_SAMPLE * content.shape[2]
+            if before is None and not step_s > SURE_LAG * std_s:
+                break
+            values = form.white_box.values(theta[0])
+            longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
+            next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s)
+            lag = CurrentLag(next_s, values['inductance'] / values['resistance'])
+            if not lag.is_possible or (before is not None and _is_near(lag, before, std_s)):
+                break
+            fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
+        return fit
+
+    def ordered(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Ask whether the winding may be the sensor, and the sensor the winding.
+
+        Two lags in a row look the same in either order, but for what is not linear: friction,
+        hysteresis. The likelier order counts. Where the other one is not ruled out, it leaves open
+        what leans on the order.
+        """
+        lag = fit.kind.lag
+        if lag is None:
+            return fit
+        other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
+        other = yield from self._with_settled_lag(other, content)
+        left_a = fit.form.residual(content)
+        other_a = other.form.residual(content)
+        yield WORK_A_SAMPLE * content.shape[2]
+        evidence = content.shape[2] * math.log(max(other_a, 1e-300) / max(left_a, 1e-300))
+        if evidence < 0.0:
+            fit, other = other, fit
+        lag = fit.kind.lag
+        assert lag is not None
+        shift = np.log(other.estimate.value[0] / fit.estimate.value[0])
+        if not (abs(evidence) < TOLD_APART and np.isfinite(shift).all()):
+            return fit
+        place = fit.form.white_box.context_nodes.index('inductance')
+        log_ratio = math.log(lag.lag_s / lag.winding_s)
+        shift[place] = max(float(shift[place]), log_ratio, key=abs)
+        lag = lag._replace(other_order=tuple(shift.tolist()))
+        return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+
+
+def _dead_zone(estimate: Estimate, content: Array) -> float:
+    """Return the dead zone in V that was found, within bounds."""
+    place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
+    largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
+    return min(float(estimate.value[0, place]), largest_v)
+
+
+def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:
+    """Tell whether a fit has hardly moved a lag, nor the winding that it was taken with.
+
+    Args:
+        lag: as the fit has it.
+        before: as it was taken for the fit.
+        std_s: standard deviation of the lag in s.
+    """
+    nearest_s = max(NEAR * before.lag_s, NEAR_STDS * std_s)
+    winding_share = abs(lag.winding_s / before.winding_s - 1.0)
+    return abs(lag.lag_s - before.lag_s) <= nearest_s and winding_share <= NEAR_WINDING

@@ -1,0 +1,43 @@
+"""Which forms the data may lead a motor to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gray_box_observer.observer.motor_form import SOURCES_OF, FormKind, FormMaker
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.white_box.declaration import TERMS
+
+LARGEST_ZONE_V = TERMS[DEAD_ZONE].parameter.upper
+
+
+@dataclass(frozen=True, slots=True)
+class OpenForms:
+    """Which forms data may lead to.
+
+    Attributes:
+        make: makes one of them.
+        sources: of the speed.
+        effects: that may be added.
+    """
+
+    make: FormMaker
+    sources: tuple[str, ...]
+    effects: tuple[str, ...] = ()
+
+    @property
+    def is_choice(self) -> bool:
+        """Whether there is more than one form."""
+        return len(self.sources) > 1 or bool(self.effects)
+
+    def contains(self, kind: FormKind) -> bool:
+        """Tell whether a form is one of these, and adds no effect twice or where it cannot act."""
+        effects = kind.effects
+        if kind.source not in self.sources or not all(name in self.effects for name in effects):
+            return False
+        can_act = all(kind.source in SOURCES_OF.get(name, self.sources) for name in effects)
+        zone_is_known = 0.0 <= kind.dead_zone_v <= (LARGEST_ZONE_V if DEAD_ZONE in effects else 0.0)
+        lag = kind.lag
+        lag_is_known = lag is None or (CURRENT_LAG in effects and lag.is_possible)
+        is_once = len(set(effects)) == len(effects)
+        return can_act and zone_is_known and lag_is_known and is_once

@@ -1,0 +1,211 @@
+"""The way of a voltage from the command of the driver to the current that the sensor shows.
+
+A driver gives nothing for commands within its dead zone. A sensor that lags by first order shows
+the current of a voltage that lags alike, for what is linear may change places. The white box holds
+its voltage over an interval, and a voltage that lags moves within it. Its place takes the constant
+voltage that brings a winding of the same time constant L/R to the same end
+(docs/METHOD.md, Which effects).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    LARGEST_SIGNAL,
+    ArrayRule,
+    check_array,
+    number,
+)
+from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.settings.sensor_lag import CurrentLag
+from gray_box_observer.white_box.interface import Array
+
+LONGEST = 2048
+"""Newest commands that are remembered, for trials of other forms."""
+
+SETTLED = 6.0
+"""Time constants of a lag after which nothing depends any more on where it began."""
+
+NEGLIGIBLE = 1e-9
+
+
+class VoltagePath:
+    """Makes of commands the voltages that the white box takes.
+
+    Where a signal history begins, what lags is unknown for some time. Samples that come meanwhile
+    begin a history each: they teach nothing.
+
+    Args:
+        dead_zone_v: shape (motor,): commands up to which nothing drives a motor; 0: there are none.
+        lag: of the current sensor, of one motor alone; None: there is none.
+    """
+
+    def __init__(self, dead_zone_v: Array, lag: CurrentLag | None = None) -> None:
+        self._dead_zone_v = dead_zone_v
+        self._lag = lag
+        self._lagging_v = np.zeros(dead_zone_v.shape)
+        self._since_s = np.zeros(dead_zone_v.shape)  # the signal history began
+        self._commands_v: deque[float] = deque(maxlen=LONGEST)
+
+    def voltage(self, interval_s: Array, command_v: Array) -> Array:
+        """Return the voltage over the next interval in V; changes nothing.
+
+        Args:
+            interval_s: shape (motor,): in s; 0 where a signal history begins.
+            command_v: shape (motor,): over the interval.
+        """
+        return self._voltage_and_end(self._lagging_v, interval_s, command_v)[0]
+
+    def voltage_after(
+        self, ahead: tuple[Array, Array] | None, interval_s: Array, command_v: Array
+    ) -> Array:
+        """Return the voltage over the interval after the next in V; changes nothing.
+
+        Args:
+            ahead: interval and command of the next, shape (motor,) each; None: there is none.
+            interval_s: shape (motor,): of the one after.
+            command_v: likewise.
+        """
+        lagging_v = self._lagging_v
+        if ahead is not None:
+            lagging_v = self._voltage_and_end(lagging_v, *ahead)[1]
+        return self._voltage_and_end(lagging_v, interval_s, command_v)[0]
+
+    def follow(self, sample: Sample, *, is_kept: bool) -> Sample:
+        """Go on by a sample; return it with the voltage.
+
+        Args:
+            sample: with the command.
+            is_kept: whether it is remembered elsewhere, and its command here.
+        """
+        if is_kept and sample.voltage_v.size == 1:
+            self._commands_v.append(float(sample.voltage_v[0]))
+        if self._lag is None:
+            return sample._replace(voltage_v=_outside(sample.voltage_v, self._dead_zone_v))
+        interval_s = sample.interval_s
+        voltage_v, self._lagging_v = self._voltage_and_end(
+            self._lagging_v, interval_s, sample.voltage_v
+        )
+        self._since_s = np.where(interval_s > 0.0, self._since_s + interval_s, 0.0)
+        is_known = self._since_s > SETTLED * self._lag.lag_s
+        return sample._replace(voltage_v=voltage_v, interval_s=np.where(is_known, interval_s, 0.0))
+
+    def follow_content(self, content: Array) -> Array:
+        """Begin anew with samples, shape (signal, 1, n); return them with the voltages."""
+        path_content, self._lagging_v, self._since_s = self._driving(content)
+        self._commands_v.clear()
+        self._commands_v.extend(content[VOLTAGE, 0].tolist())
+        return path_content
+
+    def driving(self, content: Array) -> Array:
+        """Return samples, shape (signal, motor, n), with the voltages; changes nothing."""
+        return self._driving(content)[0]
+
+    def commanded(self, content: Array) -> Array:
+        """Return the newest samples, shape (signal, 1, n), with the commands that led to them."""
+        count = min(content.shape[2], len(self._commands_v))
+        content = content.copy()
+        if count:
+            content[VOLTAGE, 0, -count:] = list(self._commands_v)[-count:]
+        return content
+
+    def _driving(self, content: Array) -> tuple[Array, Array, Array]:
+        """Return samples with the voltages, and what has come of the path by their end.
+
+        That is what lags in V, and how long the signal history has lasted in s, shape (motor,).
+        """
+        content = content.copy()
+        voltage_v = _outside(content[VOLTAGE], self._dead_zone_v[:, None])
+        content[VOLTAGE] = voltage_v
+        lag = self._lag
+        nothing = np.zeros(content.shape[1])
+        if lag is None:
+            return content, nothing, nothing
+        interval_s = content[INTERVAL].copy()
+        interval_s[:, 0] = 0.0
+        begins = interval_s <= 0.0
+        remainder = np.where(begins, 0.0, np.exp(-interval_s / lag.lag_s))
+        inputs = (1.0 - remainder) * voltage_v
+        lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
+        lasts = np.where(begins, 0.0, 1.0)
+        since_s = recurrence(lasts, interval_s[None], nothing[None])[0, :, 1:]
+        share = _share(interval_s, lag)
+        content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
+        content[INTERVAL] = np.where(since_s > SETTLED * lag.lag_s, interval_s, 0.0)
+        return content, lagging_v[:, -1], since_s[:, -1]
+
+    def _voltage_and_end(
+        self, start_v: Array, interval_s: Array, command_v: Array
+    ) -> tuple[Array, Array]:
+        """Return the voltage over an interval, and what lags at its end, in V.
+
+        Args:
+            start_v: shape (motor,): what lags at its start.
+            interval_s: as in :meth:`voltage`.
+            command_v: likewise.
+        """
+        voltage_v = _outside(command_v, self._dead_zone_v)
+        lag = self._lag
+        if lag is None:
+            return voltage_v, start_v
+        start_v = np.where(interval_s > 0.0, start_v, voltage_v)
+        end_v = voltage_v + (start_v - voltage_v) * np.exp(-interval_s / lag.lag_s)
+        return voltage_v + _share(interval_s, lag) * (start_v - voltage_v), end_v
+
+    def state(self, motor: int) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything of one motor, as plain values and arrays."""
+        plain = {
+            'lagging_v': float(self._lagging_v[motor]),
+            'since_s': float(self._since_s[motor]),
+        }
+        return plain, {'commands': np.array(self._commands_v, dtype=float)}
+
+    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, Array], motor: int) -> None:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            CheckpointError: it is no state that a path could have been in.
+        """
+        lagging_v = number(plain, 'lagging_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+        since_s = number(plain, 'since_s', 0.0, LARGEST)
+        commands_v = arrays.get('commands', np.empty(0))
+        rule = ArrayRule((None,), -LARGEST_SIGNAL, LARGEST_SIGNAL)
+        check_array('voltage_path/commands', commands_v, rule)
+        self._lagging_v[motor] = lagging_v
+        self._since_s[motor] = since_s
+        self._commands_v = deque(commands_v.tolist(), maxlen=LONGEST)
+
+
+def _outside(command_v: Array, dead_zone_v: Array) -> Array:
+    """Return a command as the white box takes it: within the dead zone it drives nothing.
+
+    What the dead zone takes off a larger one is an effect of the white box.
+
+    Args:
+        command_v: in V, any shape.
+        dead_zone_v: of each motor, to be broadcast against it.
+    """
+    driving_v: Array = np.where(np.abs(command_v) > dead_zone_v, command_v, 0.0)
+    return driving_v
+
+
+def _share(interval_s: Array, lag: CurrentLag) -> Array:
+    """Return how much of the lagging voltage at an interval's start the constant one has.
+
+    It is ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant
+    of the winding: what starts 1 V above its end moves the winding as so many constant volts do.
+    """
+    fast, slow = sorted((1.0 / lag.lag_s, 1.0 / lag.winding_s), reverse=True)
+    apart = np.maximum((fast - slow) * interval_s, NEGLIGIBLE)
+    progress_s = interval_s * np.exp(-slow * interval_s) * -np.expm1(-apart) / apart
+    of_constant = -lag.winding_s * np.expm1(-interval_s / lag.winding_s)
+    share: Array = progress_s / np.maximum(of_constant, 1e-300)
+    return share
