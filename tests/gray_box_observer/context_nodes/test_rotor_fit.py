@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE
 
 VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(THETA.size) / 25.0)
 
@@ -92,3 +93,15 @@ def test_motors_that_hardly_move_are_fitted_without_overflow() -> None:
     with np.errstate(all='ignore'):
         fit = completed(fit_window(BOX, window, VAGUE, [INITIAL[0], *weak_starts(BOX, window)]))
     assert fit is None or np.isfinite(fit.logarithms).all()
+
+
+def test_a_window_counts_the_samples_that_it_was_made_of() -> None:
+    samples = content_of(recorded())[:, :200].copy()
+    samples[INTERVAL, [3, 5, 9, 190, 195]] = 0.0  # histories too short to be fitted
+    window = Window.from_samples(BOX, samples)
+    assert [history.place for history in window.histories] == [9]
+    assert window.count == 200
+    tail = window.tail(100)
+    newest = samples[:, -tail.count :]
+    assert tail.current_a.size == 100
+    assert tail.current_a.tolist() == np.asarray(BOX.state(newest[TORQUE, :100])).tolist()

@@ -149,6 +149,7 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
         'speed_source_reason': motor.speed_reason,
         'effects': list(motor.added_effects),
         'effects_reason': motor.effects_reason,
+        'current_lag_s': motor.current_lag_s,
         'predictor': None if skill is None else skill.to_dict(),
         'alarms': None,
         'changes_s': [round(time_s, 6) for time_s in course.changes_s],

@@ -252,7 +252,7 @@ class FormTrial:
             f'{kind.in_words} explains the data: the residual of its free run is '
             f'{assessment.ratio:.3g} times the noise, that of {start.kind.in_words} '
             f'{assessment.ratio * before_a / left_a:.3g} times (log-likelihood '
-            f'{self._gain(estimate, left_a, before_a):.3g})',
+            f'{self._gain(estimate, left_a, before_a):.3g}){_on_lag(kind.lag)}',
             kind,
             left_a,
         )
@@ -390,6 +390,18 @@ def _saved_candidates(
         ):
             return kinds
     raise CheckpointError('speed.trial.candidates are no forms that could be tried')
+
+
+def _on_lag(lag: CurrentLag | None) -> str:
+    """Say how long a lag of the current is, and whether it may be the winding's."""
+    if lag is None:
+        return ''
+    if not lag.other_order:
+        return f'; the lag is {1e3 * lag.lag_s:.3g} ms'
+    return (
+        f'; the lag is {1e3 * lag.lag_s:.3g} ms and L/R {1e3 * lag.winding_s:.3g} ms, or the other '
+        'way round'
+    )
 
 
 def _numbers_of(kind: FormKind) -> list[float]:

@@ -102,8 +102,14 @@ class MotorView:
 
     @property
     def added_effects(self) -> tuple[str, ...]:
-        """Context nodes of the effects of driver and sensor that the data have added."""
+        """Effects of driver, sensor and load that the data have added."""
         return self.observer.form_choice.kind.effects
+
+    @property
+    def current_lag_s(self) -> float | None:
+        """Time constant of the current sensor in s, where the data have added one."""
+        lag = self.observer.form_choice.kind.lag
+        return None if lag is None else lag.lag_s
 
     @property
     def effects_reason(self) -> str:

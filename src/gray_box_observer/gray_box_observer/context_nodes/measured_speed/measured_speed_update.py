@@ -339,7 +339,7 @@ class MeasuredSpeedUpdate:
             self._failures += 1
             self.published_mechanics.note_failure()
             if fit is not None and self._is_noisy:
-                newest = samples[:, -fit.window.current_a.size :]
+                newest = samples[:, -fit.window.count :]
                 self._comparison.compare(newest, fit, is_noisy=True)
                 self._is_noisy = not self._comparison.is_contradicted(newest, fit)
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
@@ -355,7 +355,7 @@ class MeasuredSpeedUpdate:
             self.published_mechanics.note_fit(fit, samples.shape[1])
         else:
             self.published_mechanics.note_failure()
-            samples = samples[:, -fit.window.current_a.size :]  # the newest alone were fitted
+            samples = samples[:, -fit.window.count :]  # the newest alone may have been fitted
         is_late = self._comparison.is_late(fit)
         if not (self._is_noisy or fit.shows_noise or is_late):
             return False

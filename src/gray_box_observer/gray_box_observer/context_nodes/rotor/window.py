@@ -76,10 +76,12 @@ class Window:
     Attributes:
         histories: in the order of time.
         speed_output: how the measured speed is fitted as an output; None: it is not looked at.
+        count: newest samples that it was made of, with those of histories too short to be fitted.
     """
 
     histories: tuple[History, ...]
     speed_output: SpeedOutput | None = None
+    count: int = 0
 
     @classmethod
     def from_samples(
@@ -92,6 +94,7 @@ class Window:
             samples: shape (signal, n), as a replay buffer gives them of one motor.
             speed_output: how their speed is fitted; None: it is not.
         """
+        count = samples.shape[1]
         signals = SPEED if speed_output is None else SPEED + 1
         finite = np.isfinite(samples[:signals]).all(axis=0)
         places = np.flatnonzero(finite)
@@ -113,7 +116,7 @@ class Window:
         if len(result) > MOST_HISTORIES:
             shortest = sorted(history.current_a.size for history in result)[-MOST_HISTORIES]
             result = [history for history in result if history.current_a.size >= shortest]
-        return cls(tuple(result[-MOST_HISTORIES:]), speed_output)
+        return cls(tuple(result[-MOST_HISTORIES:]), speed_output, count)
 
     @cached_property
     def current_a(self) -> Array:
@@ -168,13 +171,14 @@ class Window:
         """Return the newest samples of the newest history."""
         last = self.histories[-1]
         keep = min(samples, last.current_a.size)
+        behind = max(self.count - last.place - last.current_a.size, 0)
         part = History(
             last.current_a[-keep:],
             last.voltage_v[1 - keep :],
             last.interval_s[1 - keep :],
             None if last.speed_rad_s is None else last.speed_rad_s[-keep:],
         )
-        return Window((part,), self.speed_output)
+        return Window((part,), self.speed_output, keep + behind)
 
     def limits(self, back_emf_constant: float) -> Array:
         """Return the states at which a run is given up, shape (state,)."""

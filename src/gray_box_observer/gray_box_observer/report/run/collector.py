@@ -273,7 +273,7 @@ def notes(name: str, observer: Observer) -> list[str]:
     sentences.append(f'Speed from {motor.white_box.speed_source}: {motor.speed_reason}.')
     if motor.added_effects:
         names = ' and '.join(name.replace('_', ' ') for name in motor.added_effects)
-        sentences.append(f'Added to what is identified: {names}: {motor.effects_reason}.')
+        sentences.append(f'Added to the white box: {names}: {motor.effects_reason}.')
     assumption_texts = motor.assumptions
     sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumption_texts.values()]
     delay = motor.delay

@@ -31,6 +31,8 @@ def values_of(motor: str, now: Situation, assumption_texts: Mapping[str, str]) -
     values['speed source'] = f'{view.white_box.speed_source}: {view.speed_reason}'
     effect_names = ', '.join(view.added_effects) or 'none'
     values['effects added'] = f'{effect_names}: {view.effects_reason}'
+    if view.current_lag_s is not None:
+        values['current lag [s]'] = _text(view.current_lag_s)
     if view.speed is not None:
         values['speed [rad/s]'] = _text(view.speed.speed_rad_s)
         values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
