@@ -369,8 +369,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'effects',
         'auto',
         'Effects of driver and sensor (brush_drop, voltage_offset, dead_zone), and of a rotor its '
-        'load (load_torque): auto adds them to context_nodes where the data show them; none never '
-        'does.',
+        'load (load_torque): auto adds them to context_nodes where the data show them, and a lag '
+        'of the current sensor (current_lag) to the physics; none never does.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(
