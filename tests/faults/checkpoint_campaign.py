@@ -83,6 +83,7 @@ KINDS: Mapping[str, Kind] = {
             'm0.context_nodes': ['inductance', 'resistance', 'hysteresis', 'back_emf_constant']},
         simulation={'speed_mode': 'rotor'},
     ),
+    'lagging': Kind({'predictor': False}, before=1500, simulation={'torque_lag_s': 0.01}),
     'predictor': Kind({**SMALL_TRAINING}),
     'residual': Kind(
         {**SMALL_TRAINING, 'training.start': 'fresh', 'training.replay_capacity': 1024,

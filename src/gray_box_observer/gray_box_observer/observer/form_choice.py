@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes import ContextUpdate
 from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import CHANGE, LOAD
+from gray_box_observer.fit_test.effects import CHANGE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
@@ -269,7 +269,8 @@ class FormChoice:
         if fit.verdict is FitVerdict.MISFIT:
             # a rotor that has changed: its next fit may explain the data
             return not (self.kind.source == ROTOR and likeliest == CHANGE)
-        return likeliest == ROTOR and fit.verdict is FitVerdict.WARNING
+        is_late = self.kind.source == ROTOR and likeliest in LATE and self.kind.lag is None
+        return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
 
     @property
     def _has_open_lag(self) -> bool:

@@ -39,12 +39,11 @@ FIRST_LAG = 1.0
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
 
-NEAR, NEAR_WINDING = 0.02, 0.05
-"""Share of a dead zone, or of a lag, by which the last fit moves it at most; the same of L/R, on
-which little depends."""
+NEAR_ZONE, NEAR_WINDING = 0.02, 0.05
+"""Share of a dead zone, and of L/R, by which the last fit moves it at most: little depends on it."""
 
-NEAR_STDS = 0.5
-"""Standard deviations of a lag that are as near."""
+NEAR_LAG, NEAR_STDS = 1e-3, 0.5
+"""The same of a lag, and standard deviations of it that are as near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +118,7 @@ class FormFitter:
         for _ in range(MOST_ZONES):
             kind = fit.kind
             dead_zone_v = _dead_zone(fit.estimate, content)
-            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR * dead_zone_v:
+            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR_ZONE * dead_zone_v:
                 break
             kind = replace(kind, dead_zone_v=dead_zone_v)
             fit = yield from self.again(kind, fit, content)
@@ -200,6 +199,6 @@ def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:
         before: as it was taken for the fit.
         std_s: standard deviation of the lag in s.
     """
-    nearest_s = max(NEAR * before.lag_s, NEAR_STDS * std_s)
+    nearest_s = max(NEAR_LAG * before.lag_s, NEAR_STDS * std_s)
     winding_share = abs(lag.winding_s / before.winding_s - 1.0)
     return abs(lag.lag_s - before.lag_s) <= nearest_s and winding_share <= NEAR_WINDING
