@@ -396,12 +396,11 @@ def _on_lag(lag: CurrentLag | None) -> str:
     """Say how long a lag of the current is, and whether it may be the winding's."""
     if lag is None:
         return ''
-    if not lag.other_order:
-        return f'; the lag is {1e3 * lag.lag_s:.3g} ms'
-    return (
-        f'; the lag is {1e3 * lag.lag_s:.3g} ms and L/R {1e3 * lag.winding_s:.3g} ms, or the other '
-        'way round'
-    )
+    order_text = ''
+    if lag.other_order:
+        order_text = f' and L/R {1e3 * lag.winding_s:.3g} ms, or the other way round'
+    lag_text = f'; the lag is {1e3 * lag.lag_s:.3g} ms{order_text}'
+    return f'{lag_text}; a delay of the voltage by a part of a sample looks nearly the same'
 
 
 def _numbers_of(kind: FormKind) -> list[float]:
