@@ -12,12 +12,13 @@ from scipy.integrate import quad
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.errors import CheckpointError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test.current_lag import lag_shifts
 from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.voltage_path import SETTLED, VoltagePath
+from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.voltage_path import SETTLED, VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.configuration import Configuration
@@ -117,10 +118,39 @@ def test_a_lag_beside_a_rotor_leaves_nothing_false(lag_s: float, seed: int) -> N
     assert motor.added_effects == ('current_lag',)
     assert lag_of(motor).lag_s == pytest.approx(lag_s, rel=0.1)
     found = believed(motor)
-    assert found['resistance'][2] == 'identified'
-    for name, (value, std, verdict) in found.items():
+    assert found['resistance'][2] == 'identified' or lag_of(motor).other_order
+    for name, (value, std, _) in found.items():
         true = getattr(GEAR_MOTOR, name)
-        assert verdict != 'identified' or abs(value - true) < max(3.0 * std, 0.02 * true), name
+        assert abs(value - true) < max(3.0 * std, 0.005 * true), name
+
+
+@pytest.mark.parametrize(
+    ('inductance', 'lag_s', 'seed'), [(40e-3, 2e-3, 1), (8e-3, 8e-3, 3)], ids=['shorter', 'longer']
+)
+def test_the_order_of_a_linear_motor_stays_open(inductance: float, lag_s: float, seed: int) -> None:
+    linear = replace(THESIS_MOTOR, hysteresis=1e-9, inductance=inductance)
+    nodes = {'motor.context_nodes': ['inductance', 'resistance']}
+    thesis = {'motor.speed_source': 'torque_constant', 'motor.stamps_exact': True}
+    motor = observed(recorded(linear, lag_s, 3.0, seed), **nodes, **thesis).motors['motor']
+    found = believed(motor)
+    assert motor.added_effects == ('current_lag',)
+    assert lag_of(motor).other_order
+    value, std, verdict = found['inductance']
+    assert verdict != 'identified'
+    assert abs(value - inductance) < 3.0 * std
+    value, std, verdict = found['resistance']
+    assert verdict == 'identified'
+    assert abs(value - 2.0) < 3.0 * std
+
+
+@pytest.mark.slow
+def test_no_speed_is_published_behind_a_lag() -> None:
+    plain = observed(recorded(GEAR_MOTOR, 0.0, 2.0, 1)).motors['motor']
+    late = observed(recorded(GEAR_MOTOR, 1e-3, 6.0, 1)).motors['motor']
+    assert plain.speed is not None
+    assert late.added_effects == ('current_lag',)
+    assert late.speed is None
+    assert late.stall is not None
 
 
 @pytest.mark.slow
@@ -150,9 +180,43 @@ def test_a_checkpoint_takes_the_lag_along(lagging: Observer) -> None:
     assert motor.estimate.value == pytest.approx(lagging.motors['motor'].estimate.value, rel=1e-2)
 
 
+def test_a_checkpoint_with_a_lag_is_none_for_a_motor_that_may_have_none(
+    lagging: Observer,
+) -> None:
+    saved = lagging.motors['motor'].state()
+    other = Observer(Configuration.from_flat({**CONSTANTS, **NODES, 'motor.effects': 'none'}))
+    with pytest.raises(ConfigurationError, match='learnt with a lag of the current'):
+        other.restore({'motor': saved})
+
+
+def test_a_trial_with_a_lag_under_way_goes_on_to_the_same_form(lagging: Observer) -> None:
+    record = recorded(THESIS_MOTOR, 1e-3, 3.0, 2)
+    values = {**CONSTANTS, **NODES}
+    before = Observer(Configuration.from_flat(values))
+    place = 0
+    while 'trial' not in before_state(before):
+        feed(before, record, range(place, place + 1))
+        place += 1
+    after = Observer(Configuration.from_flat(values))
+    after.restore({'motor': before.motors['motor'].state()})
+    feed(after, record, range(place, 1200))
+    assert lag_of(after.motors['motor']) == lag_of(lagging.motors['motor'])
+
+
+def before_state(observer: Observer) -> dict[str, object]:
+    """Return what a checkpoint would hold of the choice of the form."""
+    if 'motor' not in observer.motors or observer.motors['motor'].observer.form_choice.is_idle:
+        return {}
+    plain, _ = observer.motors['motor'].state()
+    choice: dict[str, object] = plain['speed']
+    return choice
+
+
 @pytest.mark.parametrize(
     'current_lag',
     [
+        None,
+        {'lag_s': 1e-3, 'winding_s': 1e-3, 'other_order': [0.1]},
         {'lag_s': -1.0, 'winding_s': 1e-3, 'other_order': []},
         {'lag_s': 1e-3, 'winding_s': math.nan, 'other_order': []},
         {'lag_s': 1e-3, 'winding_s': 1e-3, 'other_order': ['a']},
@@ -169,12 +233,48 @@ def test_a_saved_lag_that_is_none_is_refused(lagging: Observer, current_lag: obj
         other.restore({'motor': (saved, arrays)})
 
 
-@pytest.mark.parametrize('commands', [np.full(3, np.nan), np.full((2, 2), 1.0), np.full(1, 1e30)])
-def test_saved_commands_that_are_none_are_refused(lagging: Observer, commands: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    'commands',
+    [np.full(2048, np.nan), np.full((2, 2), 1.0), np.full(2048, 1e30), np.zeros(3), None],
+    ids=['blank', 'shape', 'large', 'few', 'missing'],
+)
+def test_saved_commands_that_are_none_are_refused(
+    lagging: Observer, commands: np.ndarray | None
+) -> None:
     plain, arrays = lagging.motors['motor'].state()
+    name = 'voltage_path/commands'
+    saved = {key: array for key, array in arrays.items() if key != name}
+    saved |= {} if commands is None else {name: commands}
     other = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
-    with pytest.raises(CheckpointError, match='voltage_path/commands'):
-        other.restore({'motor': (plain, {**arrays, 'voltage_path/commands': commands})})
+    with pytest.raises(CheckpointError, match=name):
+        other.restore({'motor': (plain, saved)})
+
+
+def test_a_saved_lag_without_its_path_is_refused(lagging: Observer) -> None:
+    plain, arrays = lagging.motors['motor'].state()
+    saved = {key: value for key, value in plain.items() if key != 'voltage_path'}
+    other = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    with pytest.raises(CheckpointError, match='voltage_path'):
+        other.restore({'motor': (saved, arrays)})
+
+
+def test_forms_are_compared_by_samples_that_have_settled() -> None:
+    content = np.zeros((4, 1, 12))
+    content[INTERVAL] = 1e-3
+    content[INTERVAL, 0, 6] = 0.0
+    content[VOLTAGE, 0] = np.arange(12)
+    part = beyond_start(content, content, 2.5e-3)
+    assert part[VOLTAGE, 0].tolist() == [3.0, 4.0, 5.0, 9.0, 10.0, 11.0]
+    assert part[INTERVAL, 0].tolist() == [0.0, 1e-3, 1e-3, 0.0, 1e-3, 1e-3]
+    assert beyond_start(content, content, 0.0) is content
+
+
+def test_a_dead_zone_beside_a_lag_is_no_form() -> None:
+    forms = OpenForms(lambda kind: pytest.fail('made'), ('rotor',), ('dead_zone', 'current_lag'))
+    assert forms.contains(FormKind('rotor', ('dead_zone',), 1.0))
+    assert forms.contains(FormKind('rotor', ('current_lag',)))
+    assert not forms.contains(FormKind('rotor', ('dead_zone', 'current_lag'), 1.0))
+    assert not forms.contains(FormKind('rotor', (), 0.0, CurrentLag(1e-3, 1e-3)))
 
 
 @pytest.mark.parametrize('winding_s', [0.5e-3, 1e-3, 4e-3])
@@ -250,10 +350,10 @@ def test_another_effect_keeps_the_lag_but_not_its_order() -> None:
     kind = FormKind('rotor', ('current_lag',), 0.0, CurrentLag(1e-3, 2e-3, (0.1,)))
     assert kind.with_effect('load_torque').lag == CurrentLag(1e-3, 2e-3)
     assert kind.without('current_lag').lag is None
-    assert kind.differs_by_lag(replace(kind, lag=None))
-    assert not kind.differs_by_lag(kind.with_effect('load_torque'))
+    assert kind.is_same_but_for_lag(replace(kind, lag=None))
+    assert not kind.is_same_but_for_lag(kind.with_effect('load_torque'))
 
 
-def test_json_and_diagnostics_tell_the_lag(lagging: Observer) -> None:
+def test_whoever_looks_at_a_motor_sees_the_lag(lagging: Observer) -> None:
     motor = lagging.motors['motor']
     assert motor.current_lag_s == lag_of(motor).lag_s

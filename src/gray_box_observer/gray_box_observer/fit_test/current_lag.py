@@ -106,7 +106,7 @@ def lag_shifts(
     values = white_box.values(theta)
     winding_s = values['inductance'] / values['resistance']
     shifts = list(np.diag(np.full(len(names), NONLINEAR)))
-    if len(lag.other_order) == len(names):
+    if lag.other_order:
         shifts.append(np.array(lag.other_order))
     if not stamps_exact:
         apart_s = max(abs(winding_s - lag.lag_s), LEAST * lag.lag_s)

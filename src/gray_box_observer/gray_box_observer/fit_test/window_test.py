@@ -304,7 +304,7 @@ class WindowTest:
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
         if lag is not None:
-            interval_s = float(median(samples[INTERVAL]))
+            interval_s = float(median(samples[INTERVAL, samples[INTERVAL] > 0.0]))
             stamps_exact = bool(self.configuration.values['stamps_exact'])
             shifts = lag_shifts(white_box, theta[0], lag, interval_s, stamps_exact=stamps_exact)
             judgement = with_shifts(judgement, shifts)

@@ -44,7 +44,11 @@ from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
-from gray_box_observer.settings.motor_configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import (
+    CURRENT_LAG,
+    DEAD_ZONE,
+    MotorConfiguration,
+)
 from gray_box_observer.settings.parameters import KNOWN_PARAMETERS, PHYSICS
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -94,6 +98,11 @@ def motor_observer(
     choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
     if kind is not None and kind != choice.kind and choice.may_take(kind):
         form = choice.form_of(kind)
+    elif kind is not None and kind.lag is not None:
+        raise ConfigurationError(
+            f'motor {first.name}: the checkpoint was learnt with a lag of the current, which '
+            f'{first.name}.effects does not let be found now'
+        )
     else:
         form = _form(configuration, motors, training, speed_measured=uses_speed)
     return MotorObserver(form, choice)
@@ -191,6 +200,8 @@ def _open_effects(
         for name in POSSIBLE_EFFECTS
         if any(source in SOURCES_OF.get(name, sources) for source in sources)
     ]
+    if first.has_value(DEAD_ZONE):  # what it takes would lag, too
+        possible = [name for name in possible if name != CURRENT_LAG]
     return tuple(name for name in possible if not first.has_value(name)), NOTHING_ADDED
 
 

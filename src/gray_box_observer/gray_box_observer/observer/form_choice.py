@@ -242,8 +242,8 @@ class FormChoice:
         assert trial is not None
         self._budget.pieces = 0
         form = outcome.form
-        is_same = outcome.kind is not None and outcome.kind.differs_by_lag(self.kind)
-        if form is None or not (is_doubted or is_same):
+        is_other_lag = outcome.kind is not None and outcome.kind.is_same_but_for_lag(self.kind)
+        if form is None or not (is_doubted or is_other_lag):
             self._pace.end(place)
             self._reasons.refusal = outcome.reason if is_doubted else ''
             return None
@@ -280,10 +280,11 @@ class FormChoice:
     def _candidates(self, fit: FitAssessment) -> tuple[FormKind, ...]:
         """Return the forms to try, that of the likeliest suspect first."""
         kinds: list[FormKind] = []
-        if self.kind.lag is not None:  # it may be another one than was found
+        lag = self.kind.lag
+        if lag is not None and not self._is_doubted(fit):  # its order alone is asked for
+            return (replace(self.kind, lag=lag._replace(other_order=())),)
+        if lag is not None:  # it may be another one than was found
             kinds.append(replace(self.kind, lag=None))
-            if not self._is_doubted(fit):
-                return tuple(kinds)
         plain = self.kind.with_other_source
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
         for suspect in suspects:  # fits of a rotor cost most
@@ -331,7 +332,8 @@ class FormChoice:
             return None
         replay = nodes.replay
         count = min(replay.stored(0), replay.capacity, NEWEST)
-        content = replay.newest(count).copy()
+        own_content = replay.newest(count).copy()
+        content = own_content if path is None else path.commanded(own_content)
         if not can_tell(white_box, content):
             self._pace.postpone(self._place)
             self._reasons.refusal = (
@@ -342,13 +344,13 @@ class FormChoice:
         self._pace.begin(self._place)
         if self._is_doubted(fit):
             self._reasons.refusal = self._why_not_yet(candidates)
-        before_a = residual_a(white_box, nodes, content)
+        before_a = residual_a(white_box, nodes, own_content)
         start = TrialStart(
             self.kind,
             candidates,
             len(white_box.parameters),
             self._pace.trials,
-            content if path is None else path.commanded(content),
+            content,
             stamp_ns,
             before_a,
         )

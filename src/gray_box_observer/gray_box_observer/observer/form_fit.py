@@ -13,11 +13,13 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import LATE
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import WORK_A_SAMPLE, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
@@ -40,7 +42,7 @@ SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
 
 NEAR_ZONE, NEAR_WINDING = 0.02, 0.05
-"""Share of a dead zone, and of L/R, by which the last fit moves it at most: little depends on it."""
+"""Share of a dead zone, and of L/R, by which the last fit moves it at most."""
 
 NEAR_LAG, NEAR_STDS = 1e-3, 0.5
 """The same of a lag, and standard deviations of it that are as near."""
@@ -59,6 +61,17 @@ class FormFit:
     kind: FormKind
     form: MotorForm
     estimate: Estimate
+
+    @property
+    def settle_s(self) -> float:
+        """Time in s behind the start of a signal history that tells nothing, in either order."""
+        lag = self.kind.lag
+        return 0.0 if lag is None else SETTLED * max(lag.lag_s, lag.winding_s)
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether it does not explain the samples."""
+        return self.form.fit.assessment(0).verdict is FitVerdict.MISFIT
 
 
 class FormFitter:
@@ -107,11 +120,18 @@ class FormFitter:
         """
         if DEAD_ZONE in fit.kind.effects:
             fit = yield from self._with_settled_zone(fit, content)
+        plain = fit
         if self._is_late(fit):
             fit = replace(fit, kind=fit.kind.with_effect(CURRENT_LAG))
-        if CURRENT_LAG in fit.kind.effects:
-            fit = yield from self._with_settled_lag(fit, content)
-        return fit
+        if CURRENT_LAG not in fit.kind.effects:
+            return fit
+        fit = yield from self._with_settled_lag(fit, content)
+        lag = fit.kind.lag
+        if lag is not None and fit.is_misfit:  # the search begins with the shorter lag
+            other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
+            other = yield from self._with_settled_lag(other, content)
+            return fit if other.is_misfit else other
+        return plain if lag is None and CURRENT_LAG not in plain.kind.effects else fit
 
     def _with_settled_zone(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form with a dead zone again, until the commands that it swallows stay."""
@@ -164,19 +184,24 @@ class FormFitter:
         lag = fit.kind.lag
         if lag is None:
             return fit
-        other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
-        other = yield from self._with_settled_lag(other, content)
-        left_a = fit.form.residual(content)
-        other_a = other.form.residual(content)
+        start = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
+        other = yield from self._with_settled_lag(start, content)
+        if _has_turned_back(other.kind.lag, lag):
+            other = start
+        settle_s = max(fit.settle_s, other.settle_s)
+        left_a = fit.form.residual(content, settle_s)
+        other_a = other.form.residual(content, settle_s)
         yield WORK_A_SAMPLE * content.shape[2]
-        evidence = content.shape[2] * math.log(max(other_a, 1e-300) / max(left_a, 1e-300))
+        count = beyond_start(content, content, settle_s).shape[2]
+        evidence = count * math.log(max(other_a, 1e-300) / max(left_a, 1e-300))
         if evidence < 0.0:
             fit, other = other, fit
         lag = fit.kind.lag
         assert lag is not None
         shift = np.log(other.estimate.value[0] / fit.estimate.value[0])
-        if not (abs(evidence) < TOLD_APART and np.isfinite(shift).all()):
+        if not abs(evidence) < TOLD_APART:
             return fit
+        shift = np.where(np.isfinite(shift), shift, 0.0)
         place = fit.form.white_box.context_nodes.index('inductance')
         log_ratio = math.log(lag.lag_s / lag.winding_s)
         shift[place] = max(float(shift[place]), log_ratio, key=abs)
@@ -189,6 +214,14 @@ def _dead_zone(estimate: Estimate, content: Array) -> float:
     place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
     largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
     return min(float(estimate.value[0, place]), largest_v)
+
+
+def _has_turned_back(lag: CurrentLag | None, before: CurrentLag) -> bool:
+    """Tell whether a search that began with the other order has ended with the same one."""
+    if lag is None:
+        return True
+    here = abs(math.log(lag.lag_s / before.lag_s))
+    return here < abs(math.log(lag.lag_s / before.winding_s))
 
 
 def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:

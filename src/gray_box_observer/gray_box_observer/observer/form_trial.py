@@ -222,19 +222,21 @@ class FormTrial:
             fit = yield from self._fitter.settled(fit, newest)
             kind = fit.kind
             form = fit.form
-            if CURRENT_LAG in kind.effects and kind.lag is None:
-                return TrialOutcome(None, 'cannot be told from them')
-            assessment = form.fit.assessment(0)
-            if assessment.verdict is FitVerdict.MISFIT:
-                return TrialOutcome(None, self._why_not(assessment, fit.estimate))
-        left_a = fit.form.residual(content)
+            if fit.is_misfit:
+                return TrialOutcome(None, self._why_not(form.fit.assessment(0), fit.estimate))
+        if CURRENT_LAG in kind.effects and kind.lag is None:
+            return TrialOutcome(None, 'cannot be told from them')
+        if kind.is_same_but_for_lag(start.kind):
+            return (yield from self._compare_lag(fit))
+        left_a = fit.form.residual(content, fit.settle_s)
         if self._is_better(fit, left_a, before_a):
             same = self._open.make(start.kind)  # the form in force may be in the midst of learning
             yield from same.learn_remembered(content, start.stamp_ns)
-            before_a = min(before_a, same.residual(content))
+            same_a = same.residual(content, fit.settle_s)
+            before_a = same_a if fit.settle_s else min(before_a, same_a)
         if self._is_better(fit, left_a, before_a):
             fit = yield from self._fitter.ordered(fit, content)
-            left_a = fit.form.residual(content)
+            left_a = fit.form.residual(content, fit.settle_s)
         kind = fit.kind
         estimate = fit.estimate
         assessment = fit.form.fit.assessment(0)
@@ -247,12 +249,46 @@ class FormTrial:
             yield from bounded(work, LATE_WORK)
             if late.fit.assessment(0).verdict in (FitVerdict.OK, FitVerdict.WARNING):
                 return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
+        return self._outcome(fit, left_a, before_a)
+
+    def _compare_lag(self, fit: FormFit) -> Pieces[TrialOutcome]:
+        """Return a form with another lag where its order is told, or it explains clearly more.
+
+        Args:
+            fit: of the form in force, with a lag that was found anew.
+        """
+        start = self._start
+        content = start.content
+        same = self._open.make(start.kind)
+        yield from same.learn_remembered(content, start.stamp_ns)
+        fit = yield from self._fitter.ordered(fit, content)
+        left_a = fit.form.residual(content, fit.settle_s)
+        before_a = same.residual(content, fit.settle_s)
+        lag = fit.kind.lag
+        before = start.kind.lag
+        assert lag is not None
+        is_told = before is not None and bool(before.other_order) and not lag.other_order
+        gain = self._gain(fit.estimate, left_a, before_a)
+        if fit.is_misfit or not gain > (-TOLD_APART if is_told else TOLD_APART):
+            return TrialOutcome(None, self._why_not(fit.form.fit.assessment(0), fit.estimate))
+        return self._outcome(fit, left_a, before_a)
+
+    def _outcome(self, fit: FormFit, left_a: float, before_a: float) -> TrialOutcome:
+        """Return a form that is adopted, with the reason.
+
+        Args:
+            fit: of the form.
+            left_a: root mean square in A of the residual that it leaves.
+            before_a: the same of the form in force.
+        """
+        kind = fit.kind
+        assessment = fit.form.fit.assessment(0)
         return TrialOutcome(
             fit.form,
             f'{kind.in_words} explains the data: the residual of its free run is '
-            f'{assessment.ratio:.3g} times the noise, that of {start.kind.in_words} '
+            f'{assessment.ratio:.3g} times the noise, that of {self._start.kind.in_words} '
             f'{assessment.ratio * before_a / left_a:.3g} times (log-likelihood '
-            f'{self._gain(estimate, left_a, before_a):.3g}){_on_lag(kind.lag)}',
+            f'{self._gain(fit.estimate, left_a, before_a):.3g}){_on_lag(kind.lag)}',
             kind,
             left_a,
         )
@@ -275,12 +311,8 @@ class FormTrial:
         return (
             _explains(other.form.fit.assessment(0), left_a, before_a)
             and _is_told(other.estimate)
-            and self._gain(other.estimate, left_a, before_a) > self._least_gain(other.kind)
+            and self._gain(other.estimate, left_a, before_a) > EVIDENCE
         )
-
-    def _least_gain(self, kind: FormKind) -> float:
-        """Return the log-likelihood that a form must bring: less where it is but another lag."""
-        return TOLD_APART if kind.differs_by_lag(self._start.kind) else EVIDENCE
 
     def _gain(self, estimate: Estimate, left_a: float, before_a: float) -> float:
         """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
@@ -414,7 +446,9 @@ def _kind_of(entries: list[Any]) -> FormKind:
     """Return the form that was saved, whatever it is."""
     names = [one for one in entries if not isinstance(one, float)]
     zone_v, *times_s = [one for one in entries if isinstance(one, float)] or [0.0]
-    lag = CurrentLag(times_s[0], times_s[1]) if len(times_s) > 1 else None
+    if len(times_s) not in (0, 2):
+        return FormKind('')
+    lag = CurrentLag(times_s[0], times_s[1]) if times_s else None
     return FormKind(names[0] if names else '', tuple(names[1:]), zone_v, lag)
 
 

@@ -22,7 +22,7 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.observer.voltage_path import VoltagePath
+from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
@@ -116,7 +116,7 @@ class FormKind:
             self._lag_in_either_order if CURRENT_LAG in effects else None,
         )
 
-    def differs_by_lag(self, other: FormKind) -> bool:
+    def is_same_but_for_lag(self, other: FormKind) -> bool:
         """Tell whether another form is this one but for a lag of the current."""
         return replace(self, lag=None) == replace(other, lag=None)
 
@@ -214,9 +214,15 @@ class MotorForm:
             sample = _sample(column, stamp_ns)
             take(sample if path is None else path.follow(sample, is_kept=True))
 
-    def residual(self, content: Array) -> float:
-        """Return the root mean square of the free run's residual in A, over given samples."""
-        return residual_a(self.white_box, self.context_nodes, self.driven(content))
+    def residual(self, content: Array, settle_s: float = 0.0) -> float:
+        """Return the root mean square of the free run's residual in A, over given samples.
+
+        Args:
+            content: shape (signal, 1, n): the samples, as they were measured.
+            settle_s: time in s behind each start of a signal history that does not count.
+        """
+        part = beyond_start(content, self.driven(content), settle_s)
+        return residual_a(self.white_box, self.context_nodes, part)
 
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""

@@ -104,16 +104,19 @@ class MotorObserver:
         self._forecasting = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
-            self._speed = SpeedTracking(form.white_box, form.context_nodes)
+            is_late = form.voltage_path is not None and form.voltage_path.has_lag
+            self._speed = SpeedTracking(form.white_box, form.context_nodes, is_late=is_late)
         self._forecast_ahead: tuple[bytes, Prediction] | None = None
         self._voltage_path = form.voltage_path
         self._know(self._believed())
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
-        if self._voltage_path is not None:
-            voltage_v = self._voltage_path.voltage(interval_s, voltage_v)
-        return self._predict(interval_s, voltage_v)
+        path = self._voltage_path
+        if path is None:
+            return self._predict(interval_s, voltage_v)
+        voltage_v = path.voltage(interval_s, voltage_v)
+        return self._predict(path.known_interval(interval_s), voltage_v)
 
     def _predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque after a voltage as the white box takes it; changes nothing."""
@@ -535,15 +538,21 @@ class MotorObserver:
         self.context_nodes.restore(
             dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
         )
+        lag = self.form_choice.kind.lag
+        if lag is not None and len(lag.other_order) not in (0, len(self.white_box.parameters)):
+            raise CheckpointError('speed.current_lag.other_order is of other parameters')
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
         place = int(self.context_nodes.replay.received[motor])
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
-        if self._voltage_path is not None and 'voltage_path' in plain:
+        path = self._voltage_path
+        if path is not None and ('voltage_path' in plain or path.has_lag):
+            replay = self.context_nodes.replay
+            count = min(replay.stored(motor), replay.capacity)
             saved_path = group(plain, 'voltage_path')
-            self._voltage_path.restore(saved_path, _group(arrays, 'voltage_path'), motor)
+            path.restore(saved_path, _group(arrays, 'voltage_path'), motor, count)
         later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
         self._tests.restore(later_result)
         if self._is_frozen:  # no estimate will follow

@@ -40,4 +40,6 @@ class OpenForms:
         lag = kind.lag
         lag_is_known = lag is None or (CURRENT_LAG in effects and lag.is_possible)
         is_once = len(set(effects)) == len(effects)
+        if DEAD_ZONE in effects and CURRENT_LAG in effects:  # what the zone takes lags, too
+            return False
         return can_act and zone_is_known and lag_is_known and is_once

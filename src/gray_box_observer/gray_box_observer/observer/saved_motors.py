@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.safe_io.saved_state import LARGEST, ArrayRule, number, numbers
 from gray_box_observer.safe_io.saved_state import group as group_of
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG
 from gray_box_observer.settings.sensor_lag import LONGEST_S, SHORTEST_S, CurrentLag
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -77,7 +78,10 @@ def _saved_kind(plain: dict[str, Any]) -> FormKind:
     dead_zone_v = 0.0
     if isinstance(choice, dict) and 'dead_zone_v' in choice:  # not in files of early releases
         dead_zone_v = number(choice, 'dead_zone_v', 0.0, LARGEST)
-    return FormKind(source, tuple(effects) if is_list else (), dead_zone_v, _saved_lag(choice))
+    kind = FormKind(source, tuple(effects) if is_list else (), dead_zone_v, _saved_lag(choice))
+    if (kind.lag is None) != (CURRENT_LAG not in kind.effects):
+        raise CheckpointError('speed.current_lag and speed.effects tell different things')
+    return kind
 
 
 def _saved_lag(choice: Any) -> CurrentLag | None:

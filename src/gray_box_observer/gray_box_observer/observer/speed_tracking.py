@@ -22,6 +22,8 @@ class SpeedTracking:
     Args:
         white_box: its physics.
         context_nodes: the rule that learns it.
+        is_late: whether the current lags. So does the speed that is followed then: it tells stalls,
+            and is none to be believed.
 
     Attributes:
         newest: the speed at the newest sample; None where none may be believed.
@@ -30,7 +32,10 @@ class SpeedTracking:
         stall: whether the rotor stands still though it is driven.
     """
 
-    def __init__(self, white_box: MotorWhiteBox, context_nodes: RotorUpdate) -> None:
+    def __init__(
+        self, white_box: MotorWhiteBox, context_nodes: RotorUpdate, *, is_late: bool = False
+    ) -> None:
+        self._is_late = is_late
         self._white_box = white_box
         self._nodes = context_nodes
         self._filter = SpeedFilter(white_box)
@@ -80,7 +85,8 @@ class SpeedTracking:
             self.estimate = self._filter.step(
                 theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
             )
-        self.newest = self.estimate if self._is_credible else None
-        speed_rad_s = None if self.newest is None else self.newest.speed_rad_s
+        credible = self.estimate if self._is_credible else None
+        self.newest = None if self._is_late else credible
+        speed_rad_s = None if credible is None else credible.speed_rad_s
         self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
         return self.newest

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LARGEST_SIGNAL,
@@ -55,6 +56,11 @@ class VoltagePath:
         self._since_s = np.zeros(dead_zone_v.shape)  # the signal history began
         self._commands_v: deque[float] = deque(maxlen=LONGEST)
 
+    @property
+    def has_lag(self) -> bool:
+        """Whether the current sensor lags."""
+        return self._lag is not None
+
     def voltage(self, interval_s: Array, command_v: Array) -> Array:
         """Return the voltage over the next interval in V; changes nothing.
 
@@ -63,6 +69,18 @@ class VoltagePath:
             command_v: shape (motor,): over the interval.
         """
         return self._voltage_and_end(self._lagging_v, interval_s, command_v)[0]
+
+    def known_interval(self, interval_s: Array) -> Array:
+        """Return the next interval in s, shape (motor,); 0 while it is not known what lags.
+
+        Args:
+            interval_s: as in :meth:`voltage`.
+        """
+        if self._lag is None:
+            return interval_s
+        since_s = self._since_s + interval_s
+        is_known = (interval_s > 0.0) & (since_s > SETTLED * self._lag.lag_s)
+        return np.where(is_known, interval_s, 0.0)
 
     def voltage_after(
         self, ahead: tuple[Array, Array] | None, interval_s: Array, command_v: Array
@@ -86,17 +104,17 @@ class VoltagePath:
             sample: with the command.
             is_kept: whether it is remembered elsewhere, and its command here.
         """
-        if is_kept and sample.voltage_v.size == 1:
+        if is_kept and self._is_alone:
             self._commands_v.append(float(sample.voltage_v[0]))
         if self._lag is None:
             return sample._replace(voltage_v=_outside(sample.voltage_v, self._dead_zone_v))
         interval_s = sample.interval_s
+        known_interval_s = self.known_interval(interval_s)
         voltage_v, self._lagging_v = self._voltage_and_end(
             self._lagging_v, interval_s, sample.voltage_v
         )
         self._since_s = np.where(interval_s > 0.0, self._since_s + interval_s, 0.0)
-        is_known = self._since_s > SETTLED * self._lag.lag_s
-        return sample._replace(voltage_v=voltage_v, interval_s=np.where(is_known, interval_s, 0.0))
+        return sample._replace(voltage_v=voltage_v, interval_s=known_interval_s)
 
     def follow_content(self, content: Array) -> Array:
         """Begin anew with samples, shape (signal, 1, n); return them with the voltages."""
@@ -108,6 +126,11 @@ class VoltagePath:
     def driving(self, content: Array) -> Array:
         """Return samples, shape (signal, motor, n), with the voltages; changes nothing."""
         return self._driving(content)[0]
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether the path is of one motor: others have no trials, and need no commands."""
+        return self._dead_zone_v.size == 1
 
     def commanded(self, content: Array) -> Array:
         """Return the newest samples, shape (signal, 1, n), with the commands that led to them."""
@@ -166,22 +189,65 @@ class VoltagePath:
             'lagging_v': float(self._lagging_v[motor]),
             'since_s': float(self._since_s[motor]),
         }
+        if not self._is_alone:
+            return plain, {}
         return plain, {'commands': np.array(self._commands_v, dtype=float)}
 
-    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, Array], motor: int) -> None:
+    def restore(
+        self, plain: Mapping[str, Any], arrays: Mapping[str, Array], motor: int, count: int
+    ) -> None:
         """Take back what :meth:`state` gave.
+
+        Args:
+            plain: of a state.
+            arrays: of the same; of a motor in a group they hold no commands.
+            motor: its place on the motor axis.
+            count: newest samples that are remembered elsewhere.
 
         Raises:
             CheckpointError: it is no state that a path could have been in.
         """
         lagging_v = number(plain, 'lagging_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
         since_s = number(plain, 'since_s', 0.0, LARGEST)
-        commands_v = arrays.get('commands', np.empty(0))
-        rule = ArrayRule((None,), -LARGEST_SIGNAL, LARGEST_SIGNAL)
-        check_array('voltage_path/commands', commands_v, rule)
+        self._commands_v.clear()
+        if self._is_alone and 'commands' in arrays:
+            commands_v = arrays['commands']
+            rule = ArrayRule((None,), -LARGEST_SIGNAL, LARGEST_SIGNAL)
+            check_array('voltage_path/commands', commands_v, rule)
+            if not min(count, LONGEST) <= commands_v.size <= LONGEST:
+                raise CheckpointError(
+                    f'voltage_path/commands holds {commands_v.size} commands, expected those of '
+                    f'the newest {min(count, LONGEST)} samples'
+                )
+            self._commands_v.extend(commands_v.tolist())
+        elif self.has_lag:
+            raise CheckpointError('voltage_path/commands is missing')
         self._lagging_v[motor] = lagging_v
         self._since_s[motor] = since_s
-        self._commands_v = deque(commands_v.tolist(), maxlen=LONGEST)
+
+
+def beyond_start(content: Array, path_content: Array, settle_s: float) -> Array:
+    """Return the samples that lie more than some time behind where their signal history begins.
+
+    Forms whose voltages settle at different times are compared by them.
+
+    Args:
+        content: shape (signal, 1, n): samples, as they were measured.
+        path_content: the same, with the voltages.
+        settle_s: the time in s; 0: all of them.
+    """
+    if settle_s <= 0.0:
+        return path_content
+    interval_s = content[INTERVAL, 0].copy()
+    interval_s[0] = 0.0
+    lasts = np.where(interval_s > 0.0, 1.0, 0.0)[None]
+    since_s = recurrence(lasts, interval_s[None, None], np.zeros((1, 1)))[0, 0, 1:]
+    is_late = since_s > settle_s
+    part = path_content[:, :, is_late].copy()
+    begins = np.diff(np.flatnonzero(is_late), prepend=-1) > 1
+    part[INTERVAL, 0, begins] = 0.0
+    part[INTERVAL, 0, :1] = 0.0
+    return part
 
 
 def _outside(command_v: Array, dead_zone_v: Array) -> Array:

@@ -119,7 +119,6 @@ class WindowLearner:
         """
         self.logarithms = np.log(np.clip(theta, self._lower, self._upper))
         self.is_settled = True
-        self.has_rivals = False
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; tell whether a fit was found. Before that nothing changes.
