@@ -209,7 +209,8 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
     follows = interval_s > 0.0
     if motor.values['initial_relative_std.inductance'] > 0.0 and follows.any():
         return None
-    if np.mean(follows) < 0.5:  # most samples begin a history anew
+    settles = motor.current_lag is not None and follows.any()  # each start takes some samples
+    if np.mean(follows) < 0.5 and not settles:  # most samples begin a history anew
         text = (
             'no two samples are near enough in time: if the stamps are in ms, write '
             'time=NAME*1e-3 among --columns; '
