@@ -11,6 +11,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, recurrence
+from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
@@ -18,8 +19,8 @@ from gray_box_observer.fit_test.stamp_errors import STAMP_STD
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.flow import to_coordinates
-from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 NONLINEAR = 2e-3
 """Share of every parameter that friction and hysteresis leave open, behind a lag."""
@@ -72,6 +73,52 @@ def lag_doubts(run: FreeRun, lag_s: float) -> list[Doubt]:
         lag_s: the lag; 0: none was found.
     """
     return [Doubt(lag_s * _by_lag(run, lag_s))] if lag_s else []
+
+
+def shifts_behind_lag(white_box: WhiteBox, run: FreeRun, theta: Array, lag_s: float) -> Array:
+    """Return how a lag moves the logarithms of the parameters through what is not linear.
+
+    The voltage of an effect is that of the current itself, and passes the filter as a voltage. The
+    white box takes the effect of the current behind the filter. Parameters and lag take over most
+    of the difference.
+
+    Args:
+        white_box: of one motor.
+        run: its free run at the present values.
+        theta: shape (parameter,): these.
+        lag_s: the lag; 0: there is none.
+
+    Returns:
+        Shape (1, parameter), or none of them.
+    """
+    nothing = np.empty((0, theta.size))
+    if not lag_s or white_box.has_rotor or white_box.speed_measured:
+        return nothing
+    interval_s = np.where(run.is_whole, run.stretch.interval_s[0], 0.0)
+    late_a = interval_means(run.current_a)
+    slope = np.where(run.is_whole, np.diff(run.current_a) / np.maximum(interval_s, 1e-12), 0.0)
+    early_v = _drop(white_box, run, theta, late_a + lag_s * slope)
+    late_v = _drop(white_box, run, theta, late_a)
+    remainder = np.where(run.is_whole, np.exp(-interval_s / lag_s), 0.0)
+    inputs_v = (1.0 - remainder) * early_v
+    filter_v = recurrence(remainder[None], inputs_v[None, None], early_v[None, :1])[0, 0, 1:]
+    response_a = run.response(-(filter_v - late_v)[None])[0]
+    columns = np.column_stack([swapped_logarithms(run.jacobian[:, 1:]), _by_lag(run, lag_s)])
+    if not np.isfinite(response_a).all():  # of an absurd motor
+        return nothing
+    amounts, _ = run.explain(response_a, columns)
+    return amounts[None, :-1]
+
+
+def _drop(white_box: WhiteBox, run: FreeRun, theta: Array, current_a: Array) -> Array:
+    """Return what the effects of a current take of the voltage, shape (k,), in V."""
+    speed = white_box.speed(current_a, run.stretch.speed_rad_s[0, 1:])
+    basis = white_box.basis(run.stretch.voltage_v[0], current_a, speed)
+    drop_v: Array = sum(
+        (value * phi for value, phi in zip(theta[1:].tolist(), basis, strict=True)),
+        np.zeros_like(current_a),
+    )
+    return drop_v
 
 
 def lag_shifts(

@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.fit_test.current_lag import lag_doubts
+from gray_box_observer.fit_test.current_lag import lag_doubts, shifts_behind_lag
 from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
@@ -276,6 +276,7 @@ def analysis_in_pieces(
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
+        shifts_behind_lag(white_box, run, theta, lag_s),
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
         shown_steps(white_box, theta, evidence),
         *(

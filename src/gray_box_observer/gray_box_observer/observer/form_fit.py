@@ -38,6 +38,12 @@ LONGEST_STEP = 3.0
 FIRST_LAG = 1.0
 """The longest lag after the first fit, in sample intervals."""
 
+FEWEST = 64
+"""Samples by which two orders are compared."""
+
+LARGEST_SHARE = 0.5
+"""Share of the samples that a lag may take to settle."""
+
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
 
@@ -64,9 +70,8 @@ class FormFit:
 
     @property
     def settle_s(self) -> float:
-        """Time in s behind the start of a signal history that tells nothing, in either order."""
-        lag = self.kind.lag
-        return 0.0 if lag is None else SETTLED * max(lag.lag_s, lag.winding_s)
+        """Time in s behind the start of a signal history that tells nothing."""
+        return 0.0 if self.kind.lag is None else SETTLED * self.kind.lag.lag_s
 
     @property
     def is_misfit(self) -> bool:
@@ -156,6 +161,7 @@ class FormFitter:
         """Fit a form again, until its lag of the current stays; it has none where none is seen."""
         interval_s = content[INTERVAL, 0]
         usual_s = float(median(interval_s[interval_s > 0.0]))
+        limit_s = LARGEST_SHARE * float(interval_s.sum()) / SETTLED
         for _ in range(MOST_LAGS):
             form = fit.form
             before = fit.kind.lag
@@ -167,7 +173,7 @@ class FormFitter:
                 break
             values = form.white_box.values(theta[0])
             longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
-            next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s)
+            next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
             lag = CurrentLag(next_s, values['inductance'] / values['resistance'])
             if not lag.is_possible or (before is not None and _is_near(lag, before, std_s)):
                 break
@@ -188,12 +194,8 @@ class FormFitter:
         other = yield from self._with_settled_lag(start, content)
         if _has_turned_back(other.kind.lag, lag):
             other = start
-        settle_s = max(fit.settle_s, other.settle_s)
-        left_a = fit.form.residual(content, settle_s)
-        other_a = other.form.residual(content, settle_s)
         yield WORK_A_SAMPLE * content.shape[2]
-        count = beyond_start(content, content, settle_s).shape[2]
-        evidence = count * math.log(max(other_a, 1e-300) / max(left_a, 1e-300))
+        evidence = _evidence(fit, other, content)
         if evidence < 0.0:
             fit, other = other, fit
         lag = fit.kind.lag
@@ -214,6 +216,23 @@ def _dead_zone(estimate: Estimate, content: Array) -> float:
     place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
     largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
     return min(float(estimate.value[0, place]), largest_v)
+
+
+def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
+    """Return the log-likelihood by which one form is the better one, by what has settled in both.
+
+    Args:
+        fit: of the one.
+        other: of the other one.
+        content: shape (signal, 1, n): the samples.
+    """
+    settle_s = max(fit.settle_s, other.settle_s)
+    count = beyond_start(content, content, settle_s).shape[2]
+    if count < FEWEST:
+        return 0.0
+    left_a = fit.form.residual(content, settle_s)
+    other_a = other.form.residual(content, settle_s)
+    return float(count * math.log(max(other_a, 1e-300) / max(left_a, 1e-300)))
 
 
 def _has_turned_back(lag: CurrentLag | None, before: CurrentLag) -> bool:

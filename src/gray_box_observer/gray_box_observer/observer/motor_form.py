@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -222,6 +223,8 @@ class MotorForm:
             settle_s: time in s behind each start of a signal history that does not count.
         """
         part = beyond_start(content, self.driven(content), settle_s)
+        if part.shape[2] == 0:
+            return math.inf
         return residual_a(self.white_box, self.context_nodes, part)
 
     def driven(self, content: Array) -> Array:
