@@ -111,13 +111,14 @@ def shifts_behind_lag(white_box: WhiteBox, run: FreeRun, theta: Array, lag_s: fl
 
 
 def _drop(white_box: WhiteBox, run: FreeRun, theta: Array, current_a: Array) -> Array:
-    """Return what the effects of a current take of the voltage, shape (k,), in V."""
+    """Return what effects of a current that are not linear take of the voltage, shape (k,)."""
     speed = white_box.speed(current_a, run.stretch.speed_rad_s[0, 1:])
     basis = white_box.basis(run.stretch.voltage_v[0], current_a, speed)
-    drop_v: Array = sum(
-        (value * phi for value, phi in zip(theta[1:].tolist(), basis, strict=True)),
-        np.zeros_like(current_a),
-    )
+    drop_v = np.zeros_like(current_a)
+    effects = zip(white_box.parameters[1:], theta[1:].tolist(), basis, strict=True)
+    for parameter, value, phi in effects:
+        if parameter.name not in _LINEAR:
+            drop_v = drop_v + value * phi
     return drop_v
 
 
@@ -166,5 +167,7 @@ def lag_shifts(
         shifts.append(np.array([share * _OF_THE_MEAN.get(name, 0.0) for name in names]))
     return np.stack(shifts)
 
+
+_LINEAR = ('resistance', 'back_emf_constant', 'voltage_offset')
 
 _OF_THE_MEAN = {'inductance': -1.0, 'resistance': -1.0, 'inertia': 1.0}
