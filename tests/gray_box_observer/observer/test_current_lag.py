@@ -31,10 +31,12 @@ THESIS_MOTOR = PlantParameters(
 NO_ZONE = np.zeros(1)
 
 
-def recorded(plant: PlantParameters, lag_s: float, duration_s: float, seed: int) -> Recording:
+def recorded(
+    plant: PlantParameters, lag_s: float, duration_s: float, seed: int, noise_nm: float = 3e-4
+) -> Recording:
     """Record a motor at 1 kHz with 1 % noise behind a sensor that lags."""
     simulation = Simulation(
-        {'motor': plant}, LIVELY, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
+        {'motor': plant}, LIVELY, seed=seed, sample_rate_hz=1000.0, torque_noise_std=noise_nm,
         speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis', torque_lag_s=lag_s,
     )  # fmt: skip
     return simulation.record(duration_s)
@@ -124,14 +126,20 @@ def test_a_lag_beside_a_rotor_leaves_nothing_false(lag_s: float, seed: int) -> N
         assert abs(value - true) < max(3.0 * std, 0.005 * true), name
 
 
+@pytest.mark.parametrize('noise_nm', [3e-4, 3e-5], ids=['one_percent', 'a_tenth'])
 @pytest.mark.parametrize(
-    ('inductance', 'lag_s', 'seed'), [(40e-3, 2e-3, 1), (8e-3, 8e-3, 3)], ids=['shorter', 'longer']
+    ('inductance', 'lag_s', 'seed'),
+    [(40e-3, 2e-3, 1), (8e-3, 8e-3, 3), (4e-3, 5e-3, 2)],
+    ids=['shorter', 'near', 'longer'],
 )
-def test_the_order_of_a_linear_motor_stays_open(inductance: float, lag_s: float, seed: int) -> None:
+def test_the_order_of_a_linear_motor_stays_open(
+    inductance: float, lag_s: float, seed: int, noise_nm: float
+) -> None:
     linear = replace(THESIS_MOTOR, hysteresis=1e-9, inductance=inductance)
     nodes = {'motor.context_nodes': ['inductance', 'resistance']}
     thesis = {'motor.speed_source': 'torque_constant', 'motor.stamps_exact': True}
-    motor = observed(recorded(linear, lag_s, 3.0, seed), **nodes, **thesis).motors['motor']
+    record = recorded(linear, lag_s, 3.0, seed, noise_nm)
+    motor = observed(record, **nodes, **thesis).motors['motor']
     found = believed(motor)
     assert motor.added_effects == ('current_lag',)
     assert lag_of(motor).other_order

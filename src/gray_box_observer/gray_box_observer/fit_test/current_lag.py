@@ -56,8 +56,10 @@ def lag_step(
 def _by_lag(run: FreeRun, lag_s: float) -> Array:
     """Differentiate the current of a run by the lag, shape (k + 1,), in A/s."""
     interval_s = run.stretch.interval_s[0]
-    least_s = LEAST * float(median(interval_s[interval_s > 0.0]))
     is_whole = run.is_whole
+    if not is_whole.any():
+        return np.zeros_like(run.current_a)
+    least_s = LEAST * float(median(interval_s[interval_s > 0.0]))
     slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope

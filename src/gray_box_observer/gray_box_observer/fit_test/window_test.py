@@ -303,7 +303,7 @@ class WindowTest:
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
-        if lag is not None:
+        if lag is not None and (samples[INTERVAL] > 0.0).any():
             interval_s = float(median(samples[INTERVAL, samples[INTERVAL] > 0.0]))
             stamps_exact = bool(self.configuration.values['stamps_exact'])
             shifts = lag_shifts(white_box, theta[0], lag, interval_s, stamps_exact=stamps_exact)

@@ -269,7 +269,7 @@ class FormChoice:
         if fit.verdict is FitVerdict.MISFIT:
             # a rotor that has changed: its next fit may explain the data
             return not (self.kind.source == ROTOR and likeliest == CHANGE)
-        is_late = self.kind.source == ROTOR and likeliest in LATE and self.kind.lag is None
+        is_late = self.kind.source == ROTOR and likeliest in ('', *LATE) and self.kind.lag is None
         return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
 
     @property
@@ -287,6 +287,8 @@ class FormChoice:
             kinds.append(replace(self.kind, lag=None))
         plain = self.kind.with_other_source
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
+        if self.kind.source == ROTOR and fit.verdict is FitVerdict.WARNING and not suspects:
+            kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing
         for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)
             if node is not None and node not in self.kind.effects:

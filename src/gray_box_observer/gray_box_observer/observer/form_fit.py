@@ -17,7 +17,7 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import LATE
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.motor_form import WORK_A_SAMPLE, FormKind, MotorForm
+from gray_box_observer.observer.motor_form import ROTOR, WORK_A_SAMPLE, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
@@ -37,6 +37,12 @@ LONGEST_STEP = 3.0
 
 FIRST_LAG = 1.0
 """The longest lag after the first fit, in sample intervals."""
+
+DELAYS = (0.8, 1.0)
+"""Delays that a lag is compared with, as shares of it: so long are those that look like one."""
+
+LARGEST_CHANGE = 100.0
+"""Change of a parameter that counts at most, relative to it."""
 
 FEWEST = 64
 """Samples by which two orders are compared."""
@@ -151,15 +157,20 @@ class FormFitter:
 
     def _is_late(self, fit: FormFit) -> bool:
         """Tell whether what a form leaves looks like a lag of the current, first of all."""
-        suspects = fit.form.fit.assessment(0).suspects
-        is_likeliest = bool(suspects) and suspects[0].effect in LATE
+        assessment = fit.form.fit.assessment(0)
+        suspects = assessment.suspects
         kind = fit.kind
+        is_likeliest = bool(suspects) and suspects[0].effect in LATE
+        if kind.source == ROTOR and not suspects:  # what a rotor leaves then tells nothing
+            is_likeliest = assessment.verdict is FitVerdict.WARNING
         is_new = CURRENT_LAG not in kind.effects
         return is_likeliest and is_new and self._open.contains(kind.with_effect(CURRENT_LAG))
 
     def _with_settled_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form again, until its lag of the current stays; it has none where none is seen."""
         interval_s = content[INTERVAL, 0]
+        if not (interval_s > 0.0).any():
+            return fit
         usual_s = float(median(interval_s[interval_s > 0.0]))
         limit_s = LARGEST_SHARE * float(interval_s.sum()) / SETTLED
         for _ in range(MOST_LAGS):
@@ -179,6 +190,28 @@ class FormFitter:
                 break
             fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
         return fit
+
+    def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
+        """Ask whether a delay of the voltage explains the samples as well as a lag does.
+
+        Beside a rotor it is not asked: there a delay cannot be estimated.
+
+        Args:
+            fit: of the form with the lag.
+            content: shape (signal, 1, n): the samples.
+        """
+        lag = fit.kind.lag
+        if lag is None or fit.kind.source == ROTOR:
+            return False
+        plain = fit.kind.without(CURRENT_LAG)
+        other_a = math.inf
+        for share in DELAYS:
+            late_content = _delayed(content, share * lag.lag_s)
+            other = yield from self.first(plain, late_content)
+            other_a = min(other_a, other.form.residual(late_content, fit.settle_s))
+        left_a = fit.form.residual(content, fit.settle_s)
+        count = settled_count(content, fit.settle_s)
+        return not log_likelihood(count, other_a, left_a) > TOLD_APART
 
     def ordered(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Ask whether the winding may be the sensor, and the sensor the winding.
@@ -200,15 +233,32 @@ class FormFitter:
             fit, other = other, fit
         lag = fit.kind.lag
         assert lag is not None
-        shift = np.log(other.estimate.value[0] / fit.estimate.value[0])
+        shift = other.estimate.value[0] / fit.estimate.value[0] - 1.0
         if not abs(evidence) < TOLD_APART:
             return fit
-        shift = np.where(np.isfinite(shift), shift, 0.0)
+        shift = np.clip(np.where(np.isfinite(shift), shift, 0.0), -LARGEST_CHANGE, LARGEST_CHANGE)
         place = fit.form.white_box.context_nodes.index('inductance')
-        log_ratio = math.log(lag.lag_s / lag.winding_s)
-        shift[place] = max(float(shift[place]), log_ratio, key=abs)
+        exchange = lag.lag_s / lag.winding_s - 1.0
+        shift[place] = max(float(shift[place]), exchange, key=abs)
         lag = lag._replace(other_order=tuple(shift.tolist()))
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+
+
+def _delayed(content: Array, delay_s: float) -> Array:
+    """Return samples, shape (signal, 1, n), whose voltage acts later: means over their intervals.
+
+    Args:
+        content: the samples.
+        delay_s: by how much.
+    """
+    ends_s = np.cumsum(content[INTERVAL, 0])
+    volt_seconds = np.concatenate([[0.0], np.cumsum(content[INTERVAL, 0] * content[VOLTAGE, 0])])
+    times_s = np.concatenate([[0.0], ends_s])
+    late = np.interp(times_s - delay_s, times_s, volt_seconds)
+    is_whole = content[INTERVAL, 0] > 0.0
+    result = content.copy()
+    result[VOLTAGE, 0, is_whole] = (np.diff(late) / np.maximum(np.diff(times_s), 1e-12))[is_whole]
+    return result
 
 
 def _dead_zone(estimate: Estimate, content: Array) -> float:
@@ -227,12 +277,29 @@ def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
         content: shape (signal, 1, n): the samples.
     """
     settle_s = max(fit.settle_s, other.settle_s)
-    count = beyond_start(content, content, settle_s).shape[2]
-    if count < FEWEST:
+    count = settled_count(content, settle_s)
+    has_gaps = bool((content[INTERVAL, 0, 1:] <= 0.0).any())  # what begins anew may decide there
+    if count < FEWEST or has_gaps:
         return 0.0
     left_a = fit.form.residual(content, settle_s)
-    other_a = other.form.residual(content, settle_s)
-    return float(count * math.log(max(other_a, 1e-300) / max(left_a, 1e-300)))
+    return log_likelihood(count, other.form.residual(content, settle_s), left_a)
+
+
+def settled_count(content: Array, settle_s: float) -> int:
+    """Return how many samples have settled; see :func:`beyond_start`."""
+    return int(beyond_start(content, content, settle_s).shape[2])
+
+
+def log_likelihood(count: int, before_a: float, left_a: float) -> float:
+    """Return the log-likelihood that a smaller residual brings; 0 where one is no number.
+
+    Args:
+        count: samples that it rests on.
+        before_a: root mean square of the one residual.
+        left_a: of the other.
+    """
+    gain = count * math.log(max(before_a, 1e-300) / max(left_a, 1e-300))
+    return 0.0 if math.isnan(gain) else float(gain)
 
 
 def _has_turned_back(lag: CurrentLag | None, before: CurrentLag) -> bool:

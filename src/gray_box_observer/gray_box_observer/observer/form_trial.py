@@ -25,7 +25,7 @@ from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.form_fit import FormFit, FormFitter
+from gray_box_observer.observer.form_fit import FormFit, FormFitter, settled_count
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.safe_io.saved_state import (
@@ -235,6 +235,8 @@ class FormTrial:
             same_a = same.residual(content, fit.settle_s)
             before_a = same_a if fit.settle_s else min(before_a, same_a)
         if self._is_better(fit, left_a, before_a):
+            if (yield from self._fitter.is_delay(fit, content)):
+                return TrialOutcome(None, 'explains them no better than a delay of the voltage')
             fit = yield from self._fitter.ordered(fit, content)
             left_a = fit.form.residual(content, fit.settle_s)
         kind = fit.kind
@@ -268,7 +270,7 @@ class FormTrial:
         before = start.kind.lag
         assert lag is not None
         is_told = before is not None and bool(before.other_order) and not lag.other_order
-        gain = self._gain(fit.estimate, left_a, before_a)
+        gain = self._gain(fit.estimate, left_a, before_a, fit.settle_s)
         if fit.is_misfit or not gain > (-TOLD_APART if is_told else TOLD_APART):
             return TrialOutcome(None, self._why_not(fit.form.fit.assessment(0), fit.estimate))
         return self._outcome(fit, left_a, before_a)
@@ -288,7 +290,7 @@ class FormTrial:
             f'{kind.in_words} explains the data: the residual of its free run is '
             f'{assessment.ratio:.3g} times the noise, that of {self._start.kind.in_words} '
             f'{assessment.ratio * before_a / left_a:.3g} times (log-likelihood '
-            f'{self._gain(fit.estimate, left_a, before_a):.3g}){_on_lag(kind.lag)}',
+            f'{self._gain(fit.estimate, left_a, before_a, fit.settle_s):.3g}){_on_lag(kind.lag)}',
             kind,
             left_a,
         )
@@ -311,12 +313,12 @@ class FormTrial:
         return (
             _explains(other.form.fit.assessment(0), left_a, before_a)
             and _is_told(other.estimate)
-            and self._gain(other.estimate, left_a, before_a) > EVIDENCE
+            and self._gain(other.estimate, left_a, before_a, other.settle_s) > EVIDENCE
         )
 
-    def _gain(self, estimate: Estimate, left_a: float, before_a: float) -> float:
+    def _gain(self, estimate: Estimate, left_a: float, before_a: float, settle_s: float) -> float:
         """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
-        count = self._start.content.shape[2]
+        count = settled_count(self._start.content, settle_s)
         if not (left_a > 0.0 and np.isfinite(before_a)):
             return 0.0 if left_a > 0.0 else -math.inf
         cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
@@ -431,8 +433,7 @@ def _on_lag(lag: CurrentLag | None) -> str:
     order_text = ''
     if lag.other_order:
         order_text = f' and L/R {1e3 * lag.winding_s:.3g} ms, or the other way round'
-    lag_text = f'; the lag is {1e3 * lag.lag_s:.3g} ms{order_text}'
-    return f'{lag_text}; a delay of the voltage by a part of a sample looks nearly the same'
+    return f'; the lag is {1e3 * lag.lag_s:.3g} ms{order_text}'
 
 
 def _numbers_of(kind: FormKind) -> list[float]:

@@ -18,7 +18,7 @@ from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import STORAGES
 
 MOST_SHIFT = 1e3
-"""Largest shift of a logarithm that is credible in a saved form."""
+"""Largest change of a parameter that is credible in a saved form, relative to it."""
 
 SavedMotor = tuple[dict[str, Any], dict[str, Array]]
 """What :meth:`MotorObserver.state` gives of a motor: plain values and arrays."""

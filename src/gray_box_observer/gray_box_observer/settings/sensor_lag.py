@@ -17,7 +17,7 @@ class CurrentLag(NamedTuple):
     Attributes:
         lag_s: its time constant in s.
         winding_s: time constant L/R of the winding in s, by which the voltage is taken to lag.
-        other_order: by how much the logarithms of the parameters move where the winding is taken
+        other_order: by how much the parameters change, relative to them, where the winding is taken
             for the sensor, and the other way round; empty where the data tell which is which.
     """
 
