@@ -4,6 +4,7 @@
 
 Editors that know ``# %%`` run one cell at a time. Three methods of ``Observer`` are all that it
 takes: ``voltage`` and ``torque`` take one sample each, ``estimates`` returns what is known by now.
+At the end of a record ``finish`` does what later samples would have brought: fits under way.
 """
 
 from __future__ import annotations
