@@ -14,6 +14,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test.current_lag import lag_shifts
+from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
@@ -365,3 +366,26 @@ def test_another_effect_keeps_the_lag_but_not_its_order() -> None:
 def test_whoever_looks_at_a_motor_sees_the_lag(lagging: Observer) -> None:
     motor = lagging.motors['motor']
     assert motor.current_lag_s == lag_of(motor).lag_s
+
+
+@pytest.mark.parametrize(
+    ('values', 'is_open'),
+    [
+        ({}, True),
+        ({'motor.known.dead_zone': 0.5}, False),
+        ({'motor.context_nodes': ['inductance', 'hysteresis']}, False),
+        (
+            {'motor.context_nodes': ['inductance', 'hysteresis'], 'motor.known.resistance': 2.0},
+            True,
+        ),
+        ({'motor.effects': 'none'}, False),
+    ],
+    ids=['plain', 'dead_zone', 'no_resistance', 'known_resistance', 'none'],
+)
+def test_a_lag_may_be_found_where_the_winding_is_known_and_no_zone_is(
+    values: dict[str, object], is_open: bool
+) -> None:
+    configuration = Configuration.from_flat({**CONSTANTS, **NODES, **values})
+    motors = list(configuration.motors.values())
+    choice = motor_observer(configuration, motors, None, speed_measured=False).form_choice
+    assert choice.may_take(FormKind('torque_constant', ('current_lag',))) is is_open

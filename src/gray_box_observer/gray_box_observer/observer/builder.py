@@ -200,7 +200,8 @@ def _open_effects(
         for name in POSSIBLE_EFFECTS
         if any(source in SOURCES_OF.get(name, sources) for source in sources)
     ]
-    if first.has_value(DEAD_ZONE):  # what it takes would lag, too
+    # what a dead zone takes would lag, too; and a lag needs L/R beside it
+    if first.has_value(DEAD_ZONE) or not first.has_value('resistance'):
         possible = [name for name in possible if name != CURRENT_LAG]
     return tuple(name for name in possible if not first.has_value(name)), NOTHING_ADDED
 
