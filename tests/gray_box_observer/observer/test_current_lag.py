@@ -322,7 +322,7 @@ def test_samples_one_by_one_and_together_take_the_same_path() -> None:
         path.follow(sample_of(interval_s, command_v), is_kept=True)
         for interval_s, command_v in content[[INTERVAL, VOLTAGE], 0].T.tolist()
     ]
-    together = VoltagePath(np.array([2.0]), lag).driving(content)
+    together = VoltagePath(np.array([2.0]), lag).driven(content)
     assert [s.voltage_v[0] for s in samples] == pytest.approx(together[VOLTAGE, 0].tolist())
     assert [s.interval_s[0] for s in samples] == together[INTERVAL, 0].tolist()
     since_s = np.cumsum(content[INTERVAL, 0, :30])

@@ -25,6 +25,10 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 NONLINEAR = 2e-3
 """Share of every parameter that friction and hysteresis leave open, behind a lag."""
 
+_LINEAR = ('resistance', 'back_emf_constant', 'voltage_offset')
+
+_OF_THE_MEAN = {'inductance': -1.0, 'resistance': -1.0, 'inertia': 1.0}
+
 LEAST = 1e-6
 """Share of a sample interval: a lag that is less is none."""
 
@@ -168,8 +172,3 @@ def lag_shifts(
         share = interval_s**2 / (12.0 * square_s2)
         shifts.append(np.array([share * _OF_THE_MEAN.get(name, 0.0) for name in names]))
     return np.stack(shifts)
-
-
-_LINEAR = ('resistance', 'back_emf_constant', 'voltage_offset')
-
-_OF_THE_MEAN = {'inductance': -1.0, 'resistance': -1.0, 'inertia': 1.0}

@@ -44,7 +44,6 @@ from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
-from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -373,7 +372,7 @@ class FormChoice:
             'source': self.kind.source,
             'effects': list(self.kind.effects),
             'dead_zone_v': self.kind.dead_zone_v,
-            'current_lag': _lag_state(self.kind.lag),
+            'current_lag': None if self.kind.lag is None else self.kind.lag.state(),
             'reason': self._reasons.source,
             'effects_reason': self._reasons.effects,
             'refusal': self._reasons.refusal,
@@ -441,14 +440,3 @@ class FormChoice:
                 self._open,
                 self._budget,
             )
-
-
-def _lag_state(lag: CurrentLag | None) -> dict[str, Any] | None:
-    """Return a lag of the current as plain values; None where there is none."""
-    if lag is None:
-        return None
-    return {
-        'lag_s': lag.lag_s,
-        'winding_s': lag.winding_s,
-        'other_order': list(lag.other_order),
-    }

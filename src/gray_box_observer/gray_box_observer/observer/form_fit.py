@@ -23,7 +23,7 @@ from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
-from gray_box_observer.settings.sensor_lag import CurrentLag
+from gray_box_observer.settings.sensor_lag import LARGEST_CHANGE, CurrentLag
 from gray_box_observer.white_box.interface import Array
 
 MOST_ZONES, MOST_LAGS = 4, 6
@@ -40,9 +40,6 @@ FIRST_LAG = 1.0
 
 DELAYS = (0.8, 1.0)
 """Delays that a lag is compared with, as shares of it: so long are those that look like one."""
-
-LARGEST_CHANGE = 100.0
-"""Change of a parameter that counts at most, relative to it."""
 
 FEWEST = 64
 """Samples by which two orders are compared."""
@@ -236,10 +233,11 @@ class FormFitter:
         shift = other.estimate.value[0] / fit.estimate.value[0] - 1.0
         if not abs(evidence) < TOLD_APART:
             return fit
-        shift = np.clip(np.where(np.isfinite(shift), shift, 0.0), -LARGEST_CHANGE, LARGEST_CHANGE)
+        shift = np.where(np.isfinite(shift), shift, 0.0)
         place = fit.form.white_box.context_nodes.index('inductance')
         exchange = lag.lag_s / lag.winding_s - 1.0
         shift[place] = max(float(shift[place]), exchange, key=abs)
+        shift = np.clip(shift, -LARGEST_CHANGE, LARGEST_CHANGE)
         lag = lag._replace(other_order=tuple(shift.tolist()))
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
 

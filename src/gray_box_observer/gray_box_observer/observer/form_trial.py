@@ -25,7 +25,7 @@ from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.form_fit import FormFit, FormFitter, settled_count
+from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.safe_io.saved_state import (
@@ -322,7 +322,7 @@ class FormTrial:
         if not (left_a > 0.0 and np.isfinite(before_a)):
             return 0.0 if left_a > 0.0 else -math.inf
         cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
-        return float(count * math.log(max(before_a, 1e-300) / left_a) - cost)
+        return log_likelihood(count, before_a, left_a) - cost
 
     @staticmethod
     def _why_not(fit: FitAssessment, estimate: Estimate) -> str:

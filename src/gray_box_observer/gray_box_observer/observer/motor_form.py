@@ -229,7 +229,7 @@ class MotorForm:
 
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""
-        return content if self.voltage_path is None else self.voltage_path.driving(content)
+        return content if self.voltage_path is None else self.voltage_path.driven(content)
 
 
 def _sample(column: Array, stamp_ns: int) -> Sample:

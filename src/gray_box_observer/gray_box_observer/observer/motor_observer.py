@@ -178,7 +178,7 @@ class MotorObserver:
         if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
         self._tests.begin_sample()
-        sample = self._driven(sample)
+        sample = self._follow_path(sample)
         prediction = self._predict(sample.interval_s, sample.voltage_v)
         belief = self._belief
         update = DeferredUpdate(
@@ -303,7 +303,7 @@ class MotorObserver:
 
     def learn_again(self, sample: Sample) -> Estimate | None:
         """Learn a sample that was predicted and scored before; return what has changed."""
-        return self.update_parameters(self._driven(sample))
+        return self.update_parameters(self._follow_path(sample))
 
     def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed.
@@ -448,7 +448,7 @@ class MotorObserver:
             return
         self.run_deferred()
         self._tests.give_up()
-        samples = [self._driven(sample) for sample in samples]
+        samples = [self._follow_path(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -462,7 +462,7 @@ class MotorObserver:
         self._know(self._believed())
         self._forecast_ahead = None
 
-    def _driven(self, sample: Sample) -> Sample:
+    def _follow_path(self, sample: Sample) -> Sample:
         """Go on by a sample; return it with the voltage that the white box takes."""
         if self._voltage_path is None:
             return sample

@@ -9,16 +9,13 @@ from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
-from gray_box_observer.safe_io.saved_state import LARGEST, ArrayRule, number, numbers
+from gray_box_observer.safe_io.saved_state import LARGEST, number
 from gray_box_observer.safe_io.saved_state import group as group_of
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG
-from gray_box_observer.settings.sensor_lag import LONGEST_S, SHORTEST_S, CurrentLag
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import STORAGES
-
-MOST_SHIFT = 1e3
-"""Largest change of a parameter that is credible in a saved form, relative to it."""
 
 SavedMotor = tuple[dict[str, Any], dict[str, Array]]
 """What :meth:`MotorObserver.state` gives of a motor: plain values and arrays."""
@@ -78,20 +75,10 @@ def _saved_kind(plain: dict[str, Any]) -> FormKind:
     dead_zone_v = 0.0
     if isinstance(choice, dict) and 'dead_zone_v' in choice:  # not in files of early releases
         dead_zone_v = number(choice, 'dead_zone_v', 0.0, LARGEST)
-    kind = FormKind(source, tuple(effects) if is_list else (), dead_zone_v, _saved_lag(choice))
+    lag = None
+    if isinstance(choice, dict) and choice.get('current_lag') is not None:
+        lag = CurrentLag.restored(group_of(choice, 'current_lag'))
+    kind = FormKind(source, tuple(effects) if is_list else (), dead_zone_v, lag)
     if (kind.lag is None) != (CURRENT_LAG not in kind.effects):
         raise CheckpointError('speed.current_lag and speed.effects tell different things')
     return kind
-
-
-def _saved_lag(choice: Any) -> CurrentLag | None:
-    """Return the lag of the current of a saved form; None where there is none."""
-    if not isinstance(choice, dict) or choice.get('current_lag') is None:
-        return None
-    saved_lag = group_of(choice, 'current_lag')
-    order = numbers(saved_lag, 'other_order', ArrayRule((None,), -MOST_SHIFT, MOST_SHIFT))
-    return CurrentLag(
-        number(saved_lag, 'lag_s', SHORTEST_S, LONGEST_S),
-        number(saved_lag, 'winding_s', SHORTEST_S, LONGEST_S),
-        tuple(order.tolist()),
-    )

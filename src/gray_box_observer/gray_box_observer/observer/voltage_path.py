@@ -118,14 +118,14 @@ class VoltagePath:
 
     def follow_content(self, content: Array) -> Array:
         """Begin anew with samples, shape (signal, 1, n); return them with the voltages."""
-        path_content, self._lagging_v, self._since_s = self._driving(content)
+        path_content, self._lagging_v, self._since_s = self._driven_to_end(content)
         self._commands_v.clear()
         self._commands_v.extend(content[VOLTAGE, 0].tolist())
         return path_content
 
-    def driving(self, content: Array) -> Array:
+    def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, motor, n), with the voltages; changes nothing."""
-        return self._driving(content)[0]
+        return self._driven_to_end(content)[0]
 
     @property
     def _is_alone(self) -> bool:
@@ -140,7 +140,7 @@ class VoltagePath:
             content[VOLTAGE, 0, -count:] = list(self._commands_v)[-count:]
         return content
 
-    def _driving(self, content: Array) -> tuple[Array, Array, Array]:
+    def _driven_to_end(self, content: Array) -> tuple[Array, Array, Array]:
         """Return samples with the voltages, and what has come of the path by their end.
 
         That is what lags in V, and how long the signal history has lasted in s, shape (motor,).
@@ -158,8 +158,7 @@ class VoltagePath:
         remainder = np.where(begins, 0.0, np.exp(-interval_s / lag.lag_s))
         inputs = (1.0 - remainder) * voltage_v
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
-        lasts = np.where(begins, 0.0, 1.0)
-        since_s = recurrence(lasts, interval_s[None], nothing[None])[0, :, 1:]
+        since_s = _since_start(interval_s)
         share = _share(interval_s, lag)
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
         content[INTERVAL] = np.where(since_s > SETTLED * lag.lag_s, interval_s, 0.0)
@@ -241,14 +240,19 @@ def beyond_start(content: Array, path_content: Array, settle_s: float) -> Array:
         return path_content
     interval_s = content[INTERVAL, 0].copy()
     interval_s[0] = 0.0
-    lasts = np.where(interval_s > 0.0, 1.0, 0.0)[None]
-    since_s = recurrence(lasts, interval_s[None, None], np.zeros((1, 1)))[0, 0, 1:]
-    is_late = since_s > settle_s
+    is_late = _since_start(interval_s[None])[0] > settle_s
     part = path_content[:, :, is_late].copy()
     begins = np.diff(np.flatnonzero(is_late), prepend=-1) > 1
     part[INTERVAL, 0, begins] = 0.0
     part[INTERVAL, 0, :1] = 0.0
     return part
+
+
+def _since_start(interval_s: Array) -> Array:
+    """Return how long the signal history has lasted at every sample, shape (motor, n), in s."""
+    lasts = np.where(interval_s > 0.0, 1.0, 0.0)
+    since_s: Array = recurrence(lasts, interval_s[None], np.zeros((1, len(lasts))))[0, :, 1:]
+    return since_s
 
 
 def _outside(command_v: Array, dead_zone_v: Array) -> Array:
