@@ -15,6 +15,7 @@ from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test.current_lag import lag_shifts
 from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.form_fit import log_likelihood
 from gray_box_observer.observer.motor_form import FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
@@ -276,6 +277,34 @@ def test_forms_are_compared_by_samples_that_have_settled() -> None:
     assert part[VOLTAGE, 0].tolist() == [3.0, 4.0, 5.0, 9.0, 10.0, 11.0]
     assert part[INTERVAL, 0].tolist() == [0.0, 1e-3, 1e-3, 0.0, 1e-3, 1e-3]
     assert beyond_start(content, content, 0.0) is content
+
+
+@pytest.mark.parametrize(
+    ('before_a', 'left_a', 'expected'),
+    [
+        (2.0, 1.0, 10.0 * math.log(2.0)),
+        (1.0, math.inf, -math.inf),
+        (math.inf, 1.0, math.inf),
+        (math.inf, math.inf, 0.0),
+        (math.nan, 1.0, 0.0),
+        (1.0, math.nan, 0.0),
+    ],
+)
+def test_what_cannot_be_compared_brings_nothing(
+    before_a: float, left_a: float, expected: float
+) -> None:
+    assert log_likelihood(10, before_a, left_a) == pytest.approx(expected)
+
+
+def test_a_lag_among_histories_too_short_to_settle_stops_nothing() -> None:
+    record = recorded(THESIS_MOTOR, 1e-3, 3.0, 2)
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
+    for k in range(record.stamp_ns.size):
+        stamp_ns = int(record.stamp_ns[k]) + k // 9 * 10**9
+        observer.voltage('motor', stamp_ns, float(record.voltage_v[0, k]))
+        observer.torque('motor', stamp_ns, float(record.torque_nm[0, k]))
+    observer.finish()
+    assert observer.motors['motor'].observer.context_nodes.replay.received_of(0) == 3000
 
 
 def test_a_dead_zone_beside_a_lag_is_no_form() -> None:

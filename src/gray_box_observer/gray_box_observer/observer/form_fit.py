@@ -296,7 +296,10 @@ def log_likelihood(count: int, before_a: float, left_a: float) -> float:
         before_a: root mean square of the one residual.
         left_a: of the other.
     """
-    gain = count * math.log(max(before_a, 1e-300) / max(left_a, 1e-300))
+    ratio = max(before_a, 1e-300) / max(left_a, 1e-300)
+    if ratio == 0.0:  # nothing has settled: the smaller residual is without end
+        return -math.inf
+    gain = count * math.log(ratio)
     return 0.0 if math.isnan(gain) else float(gain)
 
 

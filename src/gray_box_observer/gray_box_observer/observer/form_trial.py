@@ -321,6 +321,8 @@ class FormTrial:
         count = settled_count(self._start.content, settle_s)
         if not (left_a > 0.0 and np.isfinite(before_a)):
             return 0.0 if left_a > 0.0 else -math.inf
+        if count == 0:
+            return -math.inf
         cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
         return log_likelihood(count, before_a, left_a) - cost
 
