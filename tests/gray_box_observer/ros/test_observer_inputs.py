@@ -423,19 +423,23 @@ def test_simulated_time_stamps_messages_without_a_header(rig):
         torque__field='data',
         torque__scale=0.01,
     )
-    clock = rig.peer.publisher(Clock, '/clock', RELIABLE, readers=1)
-    volts = rig.peer.publisher(Float64, 'motor/voltage', RELIABLE, readers=1)
-    amperes = rig.peer.publisher(Float64, 'motor/torque', RELIABLE, readers=1)
+    clock = rig.peer.publisher(Clock, '/clock', SLOW, readers=1)
+    volts = rig.peer.publisher(Float64, 'motor/voltage', SLOW, readers=1)
+    amperes = rig.peer.publisher(Float64, 'motor/torque', SLOW, readers=1)
     current_a = 0.0
     voltage_v = 5.0
     decay = math.exp(-0.01 / 0.5)
+    rig.settle()
     for k in range(60):
         now = Clock()
         now.clock.sec, now.clock.nanosec = divmod(START_NS + 10_000_000 * k, 1_000_000_000)
-        clock.publish(now)
-        assert clock.wait_for_all_acked(Duration(seconds=20))
-        amperes.publish(Float64(data=current_a))
-        volts.publish(Float64(data=voltage_v))
+        for sender, message in (
+            (clock, now),
+            (amperes, Float64(data=current_a)),
+            (volts, Float64(data=voltage_v)),
+        ):
+            sender.publish(message)
+            assert sender.wait_for_all_acked(Duration(seconds=20))
         rig.peer.executor.spin_once(timeout_sec=0.02)
         current_a = voltage_v + (current_a - voltage_v) * decay
     rig.wait_for(torque_messages=60, voltage_messages=60)
