@@ -359,6 +359,26 @@ def test_the_step_of_an_encoder_reaches_the_noise_of_the_speed(rate_of: Any) -> 
 
 
 @pytest.mark.slow
+def test_a_motor_that_mostly_rests_does_not_hide_the_noise_of_its_encoder() -> None:
+    """At rest nothing is rounded off: a median of all residuals would be zero."""
+    parts = [recorded(duration_s=1.0), recorded('R[-0.5,0.5]D[0.05,0.5]', 2.0)]
+    speeds = [counted(part.speed_rad_s[0]) for part in parts]
+    fit = fitted(
+        window_of(
+            np.concatenate([content_of(part) for part in parts], axis=1), np.concatenate(speeds)
+        )
+    )
+    errors = [
+        speed[1:] - 0.5 * (part.speed_rad_s[0, 1:] + part.speed_rad_s[0, :-1])
+        for speed, part in zip(speeds, parts, strict=True)
+    ]
+    assert np.median(np.abs(np.concatenate(errors))) < 0.1
+    expected = np.sqrt(np.mean(np.concatenate(errors) ** 2))
+    assert fit.noise.speed_rad_s == pytest.approx(expected, rel=0.1)
+    assert fit.explains
+
+
+@pytest.mark.slow
 def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
     rng = np.random.default_rng(8)
     count = 2000

@@ -87,11 +87,13 @@ class OutputNoise:
         current_a: standard deviation of the current's.
         speed_rad_s: of the speed's.
         least_rad_s: smallest one of the speed's that is believed.
+        step_rad_s: what the steps of the speed's readings leave; 0 where there are none.
     """
 
     current_a: float
     speed_rad_s: float
     least_rad_s: float
+    step_rad_s: float = 0.0
 
     @property
     def unit_a_s(self) -> float:
@@ -335,16 +337,22 @@ def _floor(window: Window) -> OutputNoise:
     step = float(quantisation_step(speed[None])[0]) * STEP_TO_STD
     least = LEAST_NOISE * float(np.std(speed)) + 1e-12
     noise = min(difference_noise(one) for one in speeds)
-    return OutputNoise(current_a, max(noise, step, least), max(LESS_THAN_STEP * step, least))
+    return OutputNoise(current_a, max(noise, step, least), max(LESS_THAN_STEP * step, least), step)
 
 
 def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> OutputNoise:
-    """Noise of both outputs by the medians of their residuals."""
+    """Noise of both outputs by the medians of their residuals.
+
+    Of rounded readings the median tells nothing: while the motor rests their residual is zero.
+    """
     current = MAD_TO_STD * float(median(np.abs(fit.runs.of_output(State.CURRENT))))
     speed = fit.runs.of_output(State.SPEED) / output.unit_a_s
     speed_std = MAD_TO_STD * float(median(np.abs(speed)))
-    least = floor.least_rad_s
-    return OutputNoise(max(current, fit.least_noise_a), max(speed_std, least), least)
+    if floor.step_rad_s > 0.0:
+        most = OUTLIER * max(speed_std, floor.step_rad_s)
+        speed_std = max(speed_std, float(np.sqrt(np.mean(np.clip(speed, -most, most) ** 2))))
+    noise_rad_s = max(speed_std, floor.least_rad_s)
+    return replace(floor, current_a=max(current, fit.least_noise_a), speed_rad_s=noise_rad_s)
 
 
 def _floor_of_residual(fit: Fit, floor: OutputNoise) -> OutputNoise:

@@ -76,6 +76,7 @@
   }
 
   function drawSignals(told) {
+    if (Object.values(told).every((added) => !added[0].length)) return; // a slow page would fall behind
     for (const [kind, added] of Object.entries(told)) {
       signals[kind] = append(signals[kind] || [[], []], added);
     }
