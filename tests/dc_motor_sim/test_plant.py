@@ -66,6 +66,28 @@ def test_rotor_mode_agrees_with_an_adaptive_solver():
     assert run(Plant([motor], 'rotor'), 12.0, 1.0)[0] == pytest.approx(truth, rel=1e-5)
 
 
+def test_a_fan_takes_what_grows_with_the_square_of_the_speed():
+    motor = replace(
+        THESIS,
+        hysteresis=0.0,
+        inertia=2e-4,
+        viscous_friction=1e-3,
+        back_emf_constant=0.05,
+        quadratic_friction=2e-4,
+    )
+
+    def equation(_, state):
+        i, w = state
+        return [
+            (-12.0 - 1.0 * i - 0.05 * w) / 0.5,
+            (0.01 * i - 1e-3 * w - 2e-4 * abs(w) * w) / 2e-4,
+        ]
+
+    truth = solve_ivp(equation, (0.0, 1.0), [0.0, 0.0], rtol=1e-11, atol=1e-13).y[:, -1]
+    assert truth[1] < -10.0
+    assert run(Plant([motor], 'rotor'), -12.0, 1.0)[0] == pytest.approx(truth, rel=1e-5)
+
+
 def test_a_light_rotor_with_unit_friction_is_the_motor_of_the_thesis():
     light = replace(THESIS, inertia=1e-3)
     rotor = Plant([light], 'rotor')
@@ -147,7 +169,9 @@ def test_coulomb_friction_holds_the_rotor_against_a_smaller_torque():
 @pytest.mark.parametrize('lag_s', [0.0, 0.02])
 @pytest.mark.parametrize('crowd', [0, MOST_BY_NUMBERS])
 def test_motors_side_by_side_do_what_each_does_alone(mode, lag_s, crowd):
-    driven = replace(THESIS, dead_zone=1.0, voltage_offset=-0.5, brush_drop=0.3)
+    driven = replace(
+        THESIS, dead_zone=1.0, voltage_offset=-0.5, brush_drop=0.3, quadratic_friction=0.02
+    )
     motors = [THESIS, PlantParameters(inductance=0.35, resistance=0.8, hysteresis=14.0), driven]
     everybody = Plant(motors + crowd * [THESIS], mode, lag_s)
     state = everybody.initial_state() + 0.5

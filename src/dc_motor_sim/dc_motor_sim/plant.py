@@ -96,6 +96,15 @@ class PlantParameters:
         default=0.0,
         metadata=about('Coulomb friction torque T_c, against the rotation', 'N m', 0.0, 1e6),
     )
+    quadratic_friction: float = field(
+        default=0.0,
+        metadata=about(
+            'quadratic friction C of a fan or a pump, against the rotation',
+            'N m s^2 / rad^2',
+            0.0,
+            1e6,
+        ),
+    )
     load_torque: float = field(
         default=0.0,
         metadata=about('load torque T_load, against positive rotation', 'N m', -1e6, 1e6),
@@ -164,12 +173,14 @@ class Plant:
         self._J: FloatArray = columns['inertia']
         self._b: FloatArray = columns['viscous_friction']
         self._Tc: FloatArray = columns['coulomb_friction']
+        self._C: FloatArray = columns['quadratic_friction']
         self._Tl: FloatArray = columns['load_torque']
         self.load_walk: FloatArray = columns['load_walk']
         self._V0: FloatArray = columns['voltage_offset']
         self._dead_zone: FloatArray = columns['dead_zone']
         self._is_driver_ideal = not (self._V0.any() or self._dead_zone.any())
         self._brushes = bool(self._Vb.any())
+        self._has_fan = bool(self._C.any())
         self._rotor = speed_mode == 'rotor'
 
     def initial_state(self) -> FloatArray:
@@ -269,8 +280,10 @@ class Plant:
         J = motor.inertia
         b = motor.viscous_friction
         T_c = motor.coulomb_friction
+        C = motor.quadratic_friction
         lag_s = self.torque_lag_s
         has_brushes = self._brushes
+        has_fan = self._has_fan
 
         def current_rate(current: Any, speed: Any) -> Any:
             drop = (R + K * abs(speed)) * current + Kb * speed
@@ -283,6 +296,8 @@ class Plant:
 
         def rotor(current: Any, speed: Any) -> State:
             friction = b * speed + T_c * tanh(speed / FRICTION_SMOOTHING_RAD_S)
+            if has_fan:
+                friction = friction + C * abs(speed) * speed
             return current_rate(current, speed), (Kt * current - friction - load_nm) / J
 
         inner = rotor if self._rotor else thesis
@@ -360,4 +375,5 @@ class Plant:
         speed = np.abs(state[:, 1]) + speed_gain
         electrical = (self._R + self._K * speed) / self._L
         coupling_rate = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))
-        return np.maximum(np.maximum(electrical, coupling_rate), self._b / self._J)
+        friction = (self._b + 2.0 * self._C * speed) / self._J
+        return np.maximum(np.maximum(electrical, coupling_rate), friction)

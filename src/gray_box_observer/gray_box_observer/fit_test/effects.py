@@ -261,7 +261,8 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
     'noise has a memory',
     LOAD: f'{_VARYING_LOAD}; or add load_torque to {{motor}}.context_nodes for one that does not '
-    'vary: more acts on the shaft than inertia and friction, or the current has an offset',
+    'vary, quadratic_friction for a fan: more acts on the shaft than inertia and friction, or the '
+    'current has an offset',
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
 

@@ -31,6 +31,7 @@ from gray_box_observer.observer.form_trial import (
 )
 from gray_box_observer.observer.motor_form import (
     MEASURED,
+    QUADRATIC_FRICTION,
     RIVALS,
     ROTOR,
     THESIS,
@@ -66,6 +67,9 @@ NODES = {
 }
 """Effect that a form may have for a suspected one, by the name of that. What is late by a part of
 a sample interval is a lag or a delay: a form knows the lag alone."""
+
+LOADS = (LOAD_TORQUE, QUADRATIC_FRICTION)
+"""What a shaft may carry, the commoner one first."""
 
 NOTHING_ADDED = 'nothing in the data speaks for any'
 """Why no effects are added to a form that explains the data."""
@@ -145,6 +149,7 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._place = 0  # of the newest sample
+        self._change_place: int | None = None  # since when the motor looks like another one
 
     @property
     def reason(self) -> str:
@@ -200,11 +205,14 @@ class FormChoice:
         if self._open is None:
             return None
         place = int(nodes.replay.received[0])
-        is_doubted = self._is_doubted(fit)
         new_count = max(0, place - self._place)
+        self._place = place
+        self._note_change(fit)
+        is_doubted = self._is_doubted(fit)
         self._budget.grant(float(sample.interval_s[0]), new_count)
         is_open = is_doubted or self._has_open_lag
-        self.is_idle = not is_open and self._trial is None
+        is_waiting = self._change_place is not None
+        self.is_idle = not (is_open or is_waiting) and self._trial is None
         if not is_doubted:
             self._reasons.refusal = ''
         elif not self._reasons.refusal:
@@ -212,7 +220,6 @@ class FormChoice:
         if self._trial is not None and new_count > 0:
             samples = nodes.replay.newest(min(new_count, nodes.replay.stored(0)))
             self._trial.keep(samples if path is None else path.commanded(samples))
-        self._place = place
         if self._trial is None and is_open and place >= self._pace.due:
             self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
@@ -263,11 +270,26 @@ class FormChoice:
         """Take note that the fit was tested: what was idle goes on."""
         self.is_idle = self._open is None
 
+    def _note_change(self, fit: FitAssessment) -> None:
+        """Take note of a rotor that may have changed: its next fit may explain the data.
+
+        Where it does not, other forms are tried once all the samples of a trial have come since.
+        """
+        may_have_changed = (
+            self.kind.source == ROTOR
+            and fit.verdict is FitVerdict.MISFIT
+            and bool(fit.suspects)
+            and fit.suspects[0].effect == CHANGE
+        )
+        if not may_have_changed:
+            self._change_place = None
+        elif self._change_place is None:
+            self._change_place = self._place
+
     def _is_doubted(self, fit: FitAssessment) -> bool:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
         if fit.verdict is FitVerdict.MISFIT:
-            # a rotor that has changed: its next fit may explain the data
-            return not (self.kind.source == ROTOR and likeliest == CHANGE)
+            return self._change_place is None or self._place - self._change_place >= NEWEST
         is_late = self.kind.source == ROTOR and likeliest in ('', *LATE) and self.kind.lag is None
         return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
 
@@ -296,7 +318,9 @@ class FormChoice:
             elif suspect.effect == ROTOR and plain is not None:
                 kinds += self._with_rotor(plain, fit)
         if self.kind.source == ROTOR:  # most shafts carry a load
-            kinds += [*self.kind.rivals, self.kind.with_effect(LOAD_TORQUE)]
+            has_room = len({*kinds, *self.kind.rivals}) < 2
+            loads = LOADS if has_room else (LOADS[(self._pace.trials - 1) % len(LOADS)],)
+            kinds += [*self.kind.rivals, *map(self.kind.with_effect, loads)]
         if plain is not None:
             kinds.append(plain)
         different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
@@ -310,9 +334,9 @@ class FormChoice:
         """
         if plain.source != ROTOR or not self._pace.trials:
             return [plain]
-        others = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
-        loss = NODES.get(others[0], '') if others else ''
-        in_turn = (loss, LOAD_TORQUE) if loss in RIVALS else (LOAD_TORQUE, LOST_VOLTAGE)
+        suspects = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
+        loss = NODES.get(suspects[0], '') if suspects else ''
+        in_turn = (loss, *LOADS) if loss in RIVALS else (*LOADS, LOST_VOLTAGE)
         kind = plain.with_effect(in_turn[(self._pace.trials - 1) % len(in_turn)])
         return [plain, kind, *kind.rivals]
 
@@ -383,6 +407,7 @@ class FormChoice:
             'credit': self._budget.credit,
             'seen': self._place - place,
             'is_idle': self.is_idle,
+            'changed': None if self._change_place is None else self._change_place - place,
         }
         if self._trial is None:
             return plain, {}
@@ -429,6 +454,8 @@ class FormChoice:
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)
             self.is_idle = flag(plain, 'is_idle') and 'trial' not in plain
+        if plain.get('changed') is not None:  # not in files of early releases
+            self._change_place = place + whole(plain, 'changed', -MOST, MOST_AHEAD)
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
             assert self._open is not None
             self._trial = FormTrial.restored(

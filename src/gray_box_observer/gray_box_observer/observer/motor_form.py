@@ -42,11 +42,20 @@ MEASURED = 'measured'
 
 OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
 
-POSSIBLE_EFFECTS = (LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG, LOAD_TORQUE)
+QUADRATIC_FRICTION = 'quadratic_friction'
+
+POSSIBLE_EFFECTS = (
+    *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG),
+    *(LOAD_TORQUE, QUADRATIC_FRICTION),
+)
 """Effects of driver, sensor and load that data may add: names of their context nodes, and the lag
 of the current sensor, which is none."""
 
-SOURCES_OF = {LOAD_TORQUE: (ROTOR,), CURRENT_LAG: (THESIS, ROTOR)}
+SOURCES_OF = {
+    LOAD_TORQUE: (ROTOR,),
+    QUADRATIC_FRICTION: (ROTOR,),
+    CURRENT_LAG: (THESIS, ROTOR),
+}
 """Sources of the speed beside which an effect may be added, where not beside all: a measured speed
 would have to lag as the current does."""
 
@@ -59,6 +68,7 @@ _IN_WORDS = {
     DEAD_ZONE: 'a dead zone',
     CURRENT_LAG: 'a lag of the current',
     LOAD_TORQUE: 'a load',
+    QUADRATIC_FRICTION: 'a quadratic friction',
 }
 
 WORK_A_SAMPLE = 8

@@ -36,6 +36,7 @@ POWERS: dict[str, dict[str, int]] = {
     's': {},
     'kg m2': {'N m': 1, 'rad': -1},
     'N m s/rad': {'N m': 1, 'rad': -1},
+    'N m s2/rad2': {'N m': 1, 'rad': -2},
     'N m': {'N m': 1},
 }
 """Powers of the measured quantities in the unit of a parameter: they say how it scales."""

@@ -354,7 +354,7 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first. With speed_source rotor hysteresis gives way to '
         'inertia, viscous_friction and coulomb_friction unless it is stated. With speed_source '
-        'measured these three, and load_torque, may be added.',
+        'measured these three, load_torque and quadratic_friction may be added.',
     ),
     *_known_values(own=False),
     ParameterSpec(
@@ -369,8 +369,9 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'effects',
         'auto',
         'Effects of driver and sensor (brush_drop, voltage_offset, dead_zone), and of a rotor its '
-        'load (load_torque): auto adds them to context_nodes where the data show them, and a lag '
-        'of the current sensor (current_lag) to the physics; none never does.',
+        'load (load_torque, and quadratic_friction of a fan): auto adds them to context_nodes '
+        'where the data show them, and a lag of the current sensor (current_lag) to the physics; '
+        'none never does.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(

@@ -204,6 +204,18 @@ _DECLARED = (
     ),
     Term(
         Parameter(
+            'quadratic_friction',
+            'N m s2/rad2',
+            1e-7,
+            1e-15,
+            1e2,
+            'Quadratic friction C of a fan or a pump, coefficient of |w| w.',
+        ),
+        'abs(speed) * speed',
+        State.SPEED,
+    ),
+    Term(
+        Parameter(
             'load_torque', 'N m', 1.0, 1e-10, 1e6, 'Load torque T_load, against positive speed.'
         ),
         '1',

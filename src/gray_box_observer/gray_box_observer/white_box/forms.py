@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 247061268975643002
+FINGERPRINT = 169234350664107255
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 81832775358610710
+WHOLE_MOTOR_FINGERPRINT = 567467816607638970
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -65,6 +65,12 @@ EFFECTS: dict[str, Form] = {
         (lambda current, speed, torque_constant, voltage: 0.0,
          lambda current, speed, torque_constant, voltage: (0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2),
         lambda current, speed, torque_constant, voltage: torque_constant*(0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2,
+    ),
+    'quadratic_friction': Form(
+        lambda current, speed, torque_constant, voltage: speed*abs(speed),
+        (lambda current, speed, torque_constant, voltage: 0.0,
+         lambda current, speed, torque_constant, voltage: 2*abs(speed)),
+        lambda current, speed, torque_constant, voltage: 2*torque_constant*abs(speed),
     ),
     'load_torque': Form(
         lambda current, speed, torque_constant, voltage: 1.0 + 0.0 * current,

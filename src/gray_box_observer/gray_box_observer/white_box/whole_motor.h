@@ -5,13 +5,13 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 81832775358610710
+#define WHOLE_MOTOR_FINGERPRINT 567467816607638970
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
-    INERTIA, VISCOUS_FRICTION, COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
+    INERTIA, VISCOUS_FRICTION, COULOMB_FRICTION, QUADRATIC_FRICTION, LOAD_TORQUE, COORDINATES };
 static const int BALANCE_OF[COORDINATES] = {CURRENT, CURRENT, CURRENT, CURRENT, CURRENT, CURRENT,
-    CURRENT, SPEED, SPEED, SPEED, SPEED};
+    CURRENT, SPEED, SPEED, SPEED, SPEED, SPEED};
 
 typedef struct {
     Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];
@@ -47,16 +47,19 @@ INLINE Linear rate_of(
     linear.by_coordinate[CURRENT][8] = all(0.0);
     linear.by_coordinate[CURRENT][9] = all(0.0);
     linear.by_coordinate[CURRENT][10] = all(0.0);
+    linear.by_coordinate[CURRENT][11] = all(0.0);
     const Real t5 = torque_constant * state[CURRENT];
     const Real t6 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
         0.03 * absolute(state[SPEED]) + 0.0009);
-    linear.value[SPEED] = p[7] * t5 - p[8] * state[SPEED] - p[9] * t6 - p[10];
+    const Real t7 = state[SPEED] * absolute(state[SPEED]);
+    linear.value[SPEED] = p[7] * t5 - p[8] * state[SPEED] - p[9] * t6 - p[10] * t7 - p[11];
     linear.by_state[SPEED][CURRENT] = p[7] * torque_constant;
-    const Real t7 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
+    const Real t8 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
     linear.by_state[SPEED][SPEED] = -(p[8]) - p[9] * ((state[SPEED] * state[SPEED] * 0.03 -
         state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
         absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
-        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t7 * t7));
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t8 * t8)) - p[10] * (2.0 *
+        absolute(state[SPEED]));
     linear.by_coordinate[SPEED][0] = all(0.0);
     linear.by_coordinate[SPEED][1] = all(0.0);
     linear.by_coordinate[SPEED][2] = all(0.0);
@@ -67,7 +70,8 @@ INLINE Linear rate_of(
     linear.by_coordinate[SPEED][7] = t5;
     linear.by_coordinate[SPEED][8] = -(state[SPEED]);
     linear.by_coordinate[SPEED][9] = -(t6);
-    linear.by_coordinate[SPEED][10] = -1.0;
+    linear.by_coordinate[SPEED][10] = -(t7);
+    linear.by_coordinate[SPEED][11] = -1.0;
     return linear;
 }
 
@@ -133,6 +137,8 @@ INLINE Linear runge_kutta_step(
         r2.by_coordinate[SPEED][9] + t5 * r3.by_coordinate[SPEED][9];
     linear.by_coordinate[CURRENT][10] = t9 * here->by_coordinate[SPEED][10] + t7 *
         r2.by_coordinate[SPEED][10] + t5 * r3.by_coordinate[SPEED][10];
+    linear.by_coordinate[CURRENT][11] = t9 * here->by_coordinate[SPEED][11] + t7 *
+        r2.by_coordinate[SPEED][11] + t5 * r3.by_coordinate[SPEED][11];
     linear.value[SPEED] = start[SPEED] + t1 * (here->value[SPEED] + 2.0 * (r2.value[SPEED] +
         r3.value[SPEED]) + r4.value[SPEED]);
     const Real t10 = length * (t1 * r4.by_state[SPEED][CURRENT]);
@@ -177,6 +183,9 @@ INLINE Linear runge_kutta_step(
     linear.by_coordinate[SPEED][10] = t15 * here->by_coordinate[SPEED][10] + t13 *
         r2.by_coordinate[SPEED][10] + t11 * r3.by_coordinate[SPEED][10] + t1 *
         r4.by_coordinate[SPEED][10];
+    linear.by_coordinate[SPEED][11] = t15 * here->by_coordinate[SPEED][11] + t13 *
+        r2.by_coordinate[SPEED][11] + t11 * r3.by_coordinate[SPEED][11] + t1 *
+        r4.by_coordinate[SPEED][11];
     return linear;
 }
 

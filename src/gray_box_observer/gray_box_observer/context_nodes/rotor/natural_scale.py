@@ -48,6 +48,7 @@ def shares_of_scale(white_box: MotorWhiteBox, theta: Array, window: Window) -> A
         'brush_drop': voltage,
         'viscous_friction': torque / speed,
         'coulomb_friction': torque,
+        'quadratic_friction': torque / speed**2,
         'load_torque': torque,
     }
     shares = [

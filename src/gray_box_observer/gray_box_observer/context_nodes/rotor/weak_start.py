@@ -142,13 +142,15 @@ def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
     torque_constant = float(white_box.torque_constant)
     inertia = back_emf * torque_constant / coupling
     torque = torque_constant * float(quantile(np.abs(window.current_a), 0.99))
-    slowest = LEAST_FRICTION * torque * back_emf / (window.largest_voltage_v + 1e-12)
+    slowness = back_emf / (window.largest_voltage_v + 1e-12)
+    slowest = LEAST_FRICTION * torque * slowness
     values = {
         'inductance': inductance,
         'resistance': resistance,
         'inertia': inertia,
         'viscous_friction': max(viscous * inertia, slowest),
         'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
+        'quadratic_friction': LEAST_FRICTION * torque * slowness**2,
         LOAD: float(np.clip(load * inertia / back_emf, -torque, torque)),
     }
     nothing = np.where(white_box.known_parts, 0.0, [p.lower for p in white_box.parameters])
