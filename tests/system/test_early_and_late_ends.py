@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 
 import pytest
+
+from tests.conftest import free_domain
 
 pytestmark = pytest.mark.system
 
@@ -78,7 +81,10 @@ REFUSED = {
 
 
 def start(script: str, *arguments: str) -> subprocess.Popen[str]:
-    """Start a script; what the signals do is not inherited from whoever runs the tests."""
+    """Start a script in a domain of its own, where nothing begins while it ends.
+
+    What the signals do is not inherited from whoever runs the tests.
+    """
 
     def forget_inherited() -> None:
         for number in SIGNALS:
@@ -89,6 +95,7 @@ def start(script: str, *arguments: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(free_domain())},
         preexec_fn=forget_inherited,
     )
 
