@@ -75,6 +75,7 @@ def rows(trials: Sequence[JointTrial]) -> list[list[str]]:
                 sum(t.is_known for t in own),
                 sum(t.is_near for t in own),
                 sum('load_torque' in t.trial.values for t in own),
+                sum('quadratic_friction' in t.trial.values for t in own),
                 sum(t.trial.is_misfit for t in own),
                 sum(t.is_false for t in own),
                 sum(t.is_false_on_the_way for t in own),
@@ -121,7 +122,7 @@ def main() -> int:
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = pool.map(try_joint, seeds)
         trials = list(progress_bar(jobs, total=count, unit='joint'))
-    header = ['joints', 'all', 'R known', 'R within 2 %', 'load found', 'misfit', 'false', '> 1 s']
+    header = ['joints', 'all', 'R known', 'R within 2 %', 'load', 'fan', 'misfit', 'false', '> 1 s']
     print(table(header, rows(trials)), end='\n\n')
     for trial in trials:
         errors = ', '.join(

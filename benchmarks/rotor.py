@@ -24,7 +24,7 @@ from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
-from common.trust.motors import gear_motor, sticky_motor, thesis_like_motor
+from common.trust.motors import fan_motor, gear_motor, sticky_motor, thesis_like_motor
 from real_motors import (
     DEAD_CURRENT_SENSOR,
     DEFAULT_DATA,
@@ -214,6 +214,8 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
     ]
     show_choices('auto: gear motors', gears)
     show_choices('auto: motors without rotor', still)
+    fans = [run_choice(draw(fan_motor, seed, 1000.0, length_s)) for seed in range(seeds)]
+    show_choices('auto: motors with a fan', fans)
     claims = sum(choice.claims for choice in gears)
     return [
         Figure('auto: gear motors without rotor, share', share_of(gears, 'torque_constant'), 0.01),
@@ -227,6 +229,17 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
         Figure(
             'auto: false of all that was called identified, gear motors',
             sum(choice.false for choice in gears) / max(1, claims),
+            0.02,
+            counts,
+        ),
+        Figure(
+            'auto: L and R of motors with a fan not identified and right, share',
+            1.0 - float(np.mean([choice.is_right for choice in fans])),
+            None,
+        ),
+        Figure(
+            'auto: false of all that was called identified, motors with a fan',
+            sum(choice.false for choice in fans) / max(1, sum(choice.claims for choice in fans)),
             0.02,
             counts,
         ),

@@ -8,7 +8,6 @@ import subprocess
 import sys
 
 import pytest
-
 from tests.conftest import free_domain
 
 pytestmark = pytest.mark.system

@@ -136,7 +136,7 @@ class Robot:
     def gaps(self) -> int:
         """Samples missing and pauses that the observer has counted."""
         facts = self.diagnostics()
-        return int(facts['samples missing']) + int(facts['pauses'])
+        return int(facts.get('samples missing', 0)) + int(facts.get('pauses', 0))
 
     def estimates(self) -> dict[str, float]:
         """The newest estimate in the bag."""
@@ -231,8 +231,10 @@ def test_an_outage_longer_than_the_histories_is_a_gap_that_is_counted_and_everyt
     depth = 100  # half a second
     robot.listen(depth)
     robot.simulate(rate_hz, 0.0, depth)
+    robot.wait(lambda: robot.recorded() >= 200, 'samples to flow')
+    gaps_before = robot.gaps()
     cut_off(robot, 200, 1.5)
-    robot.wait(lambda: robot.gaps() > 0, 'the gap to be counted')
+    robot.wait(lambda: robot.gaps() > gaps_before, 'the gap to be counted')
     before = int(robot.diagnostics()['samples used'])
     robot.wait(
         lambda: int(robot.diagnostics()['samples used']) > before + 2 * depth,

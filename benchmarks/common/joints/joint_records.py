@@ -93,6 +93,7 @@ def joint_record(seed: int) -> Record:
     truth |= {'brush_drop': 0.0, 'voltage_offset': 0.0}
     truth['viscous_friction'] = motor.viscous_friction
     truth['coulomb_friction'] = motor.coulomb_friction
+    truth['quadratic_friction'] = joint.fan_nm_s2
     if joint.load in ('none', 'constant'):
         truth['load_torque'] = joint.load_torque_nm
     readings = Readings(stamps, stamps, volt, measured_a, measured_rad_s)

@@ -29,6 +29,14 @@ def gear_motor(rng: np.random.Generator) -> Motor:
     )
 
 
+def fan_motor(rng: np.random.Generator) -> Motor:
+    """Draw a gear motor with a fan that takes 10 to 100 % of the stall torque at no-load speed."""
+    motor = gear_motor(rng)
+    stall_nm = motor.torque_constant * SUPPLY_V / motor.resistance
+    no_load_rad_s = SUPPLY_V / motor.back_emf_constant
+    return replace(motor, quadratic_friction=rng.uniform(0.1, 1.0) * stall_nm / no_load_rad_s**2)
+
+
 def steady_motor(rng: np.random.Generator) -> Motor:
     """Draw a geared motor with speed straight between samples within noise: 60 to 200 ms."""
     motor = gear_motor(rng)

@@ -33,6 +33,7 @@ class Motor:
         inertia: J in kg m2; 0: no rotor of its own, the speed is ``Kt i``.
         viscous_friction: B in N m s/rad.
         coulomb_friction: T_c in N m.
+        quadratic_friction: C of a fan in N m s2/rad2.
         brush_drop: V_b in V: lost in brushes or driver against the current.
     """
 
@@ -45,6 +46,7 @@ class Motor:
     viscous_friction: float = 0.0
     coulomb_friction: float = 0.0
     brush_drop: float = 0.0
+    quadratic_friction: float = 0.0
 
     @property
     def has_rotor(self) -> bool:
@@ -88,6 +90,7 @@ class Plant:
         hysteresis = motor.hysteresis
         friction = motor.coulomb_friction
         drop = motor.brush_drop
+        fan = motor.quadratic_friction
         (ii, iw, iv, it), (wi, ww, wv, wt) = self._transition
         decay = self._locked_decay
         gain = (1.0 - decay) / motor.resistance
@@ -102,12 +105,14 @@ class Plant:
                 i_next = decay * i + gain * net
                 w_next = 0.0
             else:
-                torque = -turn * friction
+                drag = fan * abs(w) * w
+                torque = -turn * friction - drag
                 lost = hysteresis * abs(w) * i
                 i_next = ii * i + iw * w + iv * (net - lost) + it * torque
                 w_next = wi * i + ww * w + wv * (net - lost) + wt * torque
-                if hysteresis > 0.0:
+                if hysteresis > 0.0 or fan > 0.0:
                     lost = 0.5 * (lost + hysteresis * abs(w_next) * i_next)
+                    torque = -turn * friction - 0.5 * (drag + fan * abs(w_next) * w_next)
                     i_next = ii * i + iw * w + iv * (net - lost) + it * torque
                     w_next = wi * i + ww * w + wv * (net - lost) + wt * torque
                 if friction > 0.0 and turn * w_next < 0.0:

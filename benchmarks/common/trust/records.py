@@ -220,7 +220,7 @@ def _closed_loop(
 
 
 def _truth(scenario: Scenario, motor: Motor) -> dict[str, float]:
-    names = {*NODES, *NODES_WITH_SPEED, *ROTOR, 'brush_drop'}
+    names = {*NODES, *NODES_WITH_SPEED, *ROTOR, 'brush_drop', 'quadratic_friction'}
     truth = {name: float(getattr(motor, name)) for name in names} | {'load_torque': 0.0}
     if 'current_offset' not in scenario.suspects:  # that is none of the voltage alone
         truth['voltage_offset'] = 0.0

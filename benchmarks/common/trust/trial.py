@@ -364,6 +364,7 @@ def _voltage_share(record: Record, parameter: str, true: float, stamp_ns: int) -
         'coulomb_friction': np.sign(speed) * opposes,
         'load_torque': np.full_like(log.current_a, opposes),
         'viscous_friction': speed * opposes,
+        'quadratic_friction': np.abs(speed) * speed * opposes,
     }
     voltage = float(np.sqrt(np.mean(log.voltage_v**2)))
     return abs(true) * float(np.sqrt(np.mean(signals[parameter] ** 2))) / max(voltage, 1e-12)

@@ -3,7 +3,7 @@
     L di/dt = V_d - V_0 - R i - Kb w - K_HS |w| i - V_b sign(i)        T = Kt i
 
     thesis mode:  w = Kt i
-    rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - T_load
+    rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - C |w| w - T_load
 
 The driver gives ``V_d = sign(V) max(|V| - dead zone, 0)`` of the voltage V that is published. Where
 the sensor lags, the torque that it reads is a state too: ``lag dT_s/dt = T - T_s``.

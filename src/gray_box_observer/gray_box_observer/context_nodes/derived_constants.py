@@ -2,9 +2,9 @@
 
 electrical time constant  L / R
 kS = R T_c / Kt           volts against dry friction
-kV = Kb + R B / Kt        volts for a speed
+kV = Kb + R B / Kt        volts for a speed; of a motor without a fan
 kA = R J / Kt             volts for an acceleration, the inductance neglected
-mechanical time constant  kA / kV
+mechanical time constant  kA / kV; likewise
 """
 
 from __future__ import annotations
@@ -82,6 +82,8 @@ def derived_constants(white_box: MotorWhiteBox, estimate: Estimate) -> list[Deri
         optional = 'viscous_friction'
         if any(part not in values and part != optional for part in needed_nodes):
             continue
+        if 'quadratic_friction' in values and 'viscous_friction' in needed_nodes:
+            continue  # with a fan no constant takes the speed into account
         value, slopes = _with_slopes(name, values, float(white_box.torque_constant))
         row: Array = np.array([slopes.get(node, 0.0) for node in nodes])
         variance = float(row @ estimate.covariance[0] @ row)

@@ -255,14 +255,32 @@ EFFECTS: dict[str, Effect] = {
 }
 """Every effect by its name."""
 
-_VARYING_LOAD = "publish the speed in motor/torque's velocity: a load that varies is followed then"
+_LOADS = {
+    'load_torque': 'load_torque for a load that does not vary',
+    'quadratic_friction': 'quadratic_friction for a fan',
+}
+
+
+def load_remedy(*nodes: str) -> str:
+    """Return what to do about a load on the shaft of a rotor.
+
+    Args:
+        nodes: context nodes or stated values among those that a load may be.
+    """
+    always = "publish the speed in motor/torque's velocity: a load that varies is followed then"
+    others = [words for node, words in _LOADS.items() if node not in nodes]
+    if not others:
+        return always
+    return (
+        f'{always}; or add to {{motor}}.context_nodes {", or ".join(others)}: more acts on the '
+        'shaft than inertia and friction, or the current has an offset'
+    )
+
 
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
     COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
     'noise has a memory',
-    LOAD: f'{_VARYING_LOAD}; or add load_torque to {{motor}}.context_nodes for one that does not '
-    'vary, quadratic_friction for a fan: more acts on the shaft than inertia and friction, or the '
-    'current has an offset',
+    LOAD: load_remedy(),
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
 
@@ -270,7 +288,10 @@ ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
     LATE,
     'declare {motor}.delay in s where the voltage acts later than it is stamped; where the current '
     'sensor lags, take its filter off: a delay does not make up for that',
-)
+) | {
+    CHANGE: 'call ~/reset where the motor has become another one; what is missing in '
+    '{motor}.context_nodes looks alike, such as load_torque, or quadratic_friction of a fan'
+}
 """The same for a rotor whose speed nobody measures: its delay cannot be estimated."""
 
 ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
@@ -278,9 +299,6 @@ ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
     'take the filter off the current: {motor}.delay is estimated, and explains only a part',
 )
 """The same where the delay is estimated."""
-
-LOADED_REMEDIES: dict[str, str] = {LOAD: _VARYING_LOAD}
-"""The same where the constant part of the load is a context node, or known."""
 
 
 def possible_effects(scene: Scene) -> Iterator[tuple[Effect, list[Shapes]]]:

@@ -28,9 +28,9 @@ from gray_box_observer.fit_test.effects import (
     EFFECTS,
     ESTIMATED_REMEDIES,
     LOAD,
-    LOADED_REMEDIES,
     REMEDIES,
     ROTOR_REMEDIES,
+    load_remedy,
 )
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
@@ -259,7 +259,9 @@ class WindowTest:
         was_ok = before is not None and before.assessment.verdict is FitVerdict.OK
         if verdict is not FitVerdict.MISFIT and not (was_ok and shows_change(finding.analysis)):
             return None
-        change = Suspect(CHANGE, finding.analysis.whiteness, REMEDIES[CHANGE])
+        remedies = ROTOR_REMEDIES if self.white_box.has_rotor else REMEDIES
+        remedy = remedies[CHANGE].format(motor=self.configuration.name)
+        change = Suspect(CHANGE, finding.analysis.whiteness, remedy)
         finding = replace(
             finding,
             judgement=replace(finding.judgement, verdict=FitVerdict.MISFIT),
@@ -486,8 +488,8 @@ class WindowTest:
 
     def _of_load(self, evidence: float) -> Suspect:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
-        is_loaded = self.configuration.has_value('load_torque')
-        remedy = (LOADED_REMEDIES if is_loaded else REMEDIES)[LOAD]
+        nodes = ('load_torque', 'quadratic_friction')
+        remedy = load_remedy(*filter(self.configuration.has_value, nodes))
         return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
 
 

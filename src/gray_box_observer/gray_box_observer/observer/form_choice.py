@@ -10,7 +10,7 @@ at the samples that follow, so that every door leads to the same choice
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,7 +149,7 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._place = 0  # of the newest sample
-        self._change_place: int | None = None  # since when the motor looks like another one
+        self._change_count = 0  # samples at which the motor looked like another one, less good ones
 
     @property
     def reason(self) -> str:
@@ -207,12 +207,15 @@ class FormChoice:
         place = int(nodes.replay.received[0])
         new_count = max(0, place - self._place)
         self._place = place
-        self._note_change(fit)
+        may_have_changed = self._may_have_changed(fit)
+        if may_have_changed:
+            self._change_count += min(new_count, 1)  # of those before it is not known
+        elif fit.verdict is FitVerdict.OK:
+            self._change_count = max(self._change_count - new_count, 0)
         is_doubted = self._is_doubted(fit)
         self._budget.grant(float(sample.interval_s[0]), new_count)
         is_open = is_doubted or self._has_open_lag
-        is_waiting = self._change_place is not None
-        self.is_idle = not (is_open or is_waiting) and self._trial is None
+        self.is_idle = not (is_open or may_have_changed) and self._trial is None
         if not is_doubted:
             self._reasons.refusal = ''
         elif not self._reasons.refusal:
@@ -228,7 +231,7 @@ class FormChoice:
         if not has_ended:
             return None
         assert outcome is not None
-        return self._end(outcome, sample.stamp_ns, place, is_doubted=is_doubted)
+        return self._end(outcome, sample.stamp_ns, place, fit)
 
     def finish(self, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int) -> MotorForm | None:
         """Do what is left of a trial, for no samples will come; see :meth:`step`."""
@@ -238,20 +241,21 @@ class FormChoice:
         if outcome is None:
             return None
         place = int(nodes.replay.received[0])
-        return self._end(outcome, stamp_ns, place, is_doubted=self._is_doubted(fit))
+        return self._end(outcome, stamp_ns, place, fit)
 
     def _end(
-        self, outcome: TrialOutcome, stamp_ns: int, place: int, *, is_doubted: bool
+        self, outcome: TrialOutcome, stamp_ns: int, place: int, fit: FitAssessment
     ) -> MotorForm | None:
-        """Draw the consequence of a trial."""
+        """Draw the consequence of a trial: begun in doubt, it counts unless that has gone."""
         trial, self._trial = self._trial, None
         assert trial is not None
         self._budget.pieces = 0
         form = outcome.form
         is_other_lag = outcome.kind is not None and outcome.kind.is_same_but_for_lag(self.kind)
-        if form is None or not (is_doubted or is_other_lag):
+        is_needed = fit.verdict in (FitVerdict.MISFIT, FitVerdict.WARNING)
+        if form is None or not (is_needed or is_other_lag):
             self._pace.end(place)
-            self._reasons.refusal = outcome.reason if is_doubted else ''
+            self._reasons.refusal = outcome.reason if self._is_doubted(fit) else ''
             return None
         assert outcome.kind is not None
         if outcome.kind.source != self.kind.source:
@@ -260,6 +264,7 @@ class FormChoice:
         else:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
+        self._change_count = 0
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
@@ -270,26 +275,22 @@ class FormChoice:
         """Take note that the fit was tested: what was idle goes on."""
         self.is_idle = self._open is None
 
-    def _note_change(self, fit: FitAssessment) -> None:
-        """Take note of a rotor that may have changed: its next fit may explain the data.
+    def _may_have_changed(self, fit: FitAssessment) -> bool:
+        """Tell whether a rotor looks like one that has changed: its next fit may explain the data.
 
-        Where it does not, other forms are tried once all the samples of a trial have come since.
+        Where that goes on for the samples of a trial, other forms are tried.
         """
-        may_have_changed = (
+        return (
             self.kind.source == ROTOR
             and fit.verdict is FitVerdict.MISFIT
             and bool(fit.suspects)
             and fit.suspects[0].effect == CHANGE
         )
-        if not may_have_changed:
-            self._change_place = None
-        elif self._change_place is None:
-            self._change_place = self._place
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
         if fit.verdict is FitVerdict.MISFIT:
-            return self._change_place is None or self._place - self._change_place >= NEWEST
+            return self._change_count >= NEWEST or not self._may_have_changed(fit)
         is_late = self.kind.source == ROTOR and likeliest in ('', *LATE) and self.kind.lag is None
         return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
 
@@ -317,14 +318,29 @@ class FormChoice:
                 kinds += [instead, *instead.rivals, self.kind.with_effect(node)]
             elif suspect.effect == ROTOR and plain is not None:
                 kinds += self._with_rotor(plain, fit)
-        if self.kind.source == ROTOR:  # most shafts carry a load
-            has_room = len({*kinds, *self.kind.rivals}) < 2
-            loads = LOADS if has_room else (LOADS[(self._pace.trials - 1) % len(LOADS)],)
-            kinds += [*self.kind.rivals, *map(self.kind.with_effect, loads)]
-        if plain is not None:
-            kinds.append(plain)
-        different = dict.fromkeys(kind for kind in kinds if self.may_take(kind))
-        return tuple(different)[:MOST_CANDIDATES]
+        if self.kind.source == ROTOR:
+            kinds += self.kind.rivals
+        different = [*dict.fromkeys(kind for kind in kinds if self.may_take(kind))]
+        others = [] if plain is None or plain in different else [plain]
+        others = [kind for kind in others if self.may_take(kind)]
+        room = MOST_CANDIDATES - len(different) - len(others)
+        return (*different, *self._with_loads(different, room), *others)[:MOST_CANDIDATES]
+
+    def _with_loads(self, before: Sequence[FormKind], room: int) -> list[FormKind]:
+        """Return a rotor with what it may carry; where there is room for one alone, in turn.
+
+        Args:
+            before: forms that are tried anyway.
+            room: for how many there is room beside.
+        """
+        if self.kind.source != ROTOR:
+            return []
+        kinds = [self.kind.with_effect(node) for node in LOADS if node not in self.kind.effects]
+        kinds = [kind for kind in kinds if kind not in before and self.may_take(kind)]
+        if len(kinds) <= room:
+            return kinds
+        turn = max(self._pace.trials - 1, 0) % len(kinds)
+        return [*kinds[turn:], *kinds[:turn]][: max(room, 0)]
 
     def _with_rotor(self, plain: FormKind, fit: FitAssessment) -> list[FormKind]:
         """Return a rotor, and one with an effect where that alone has failed before.
@@ -336,9 +352,10 @@ class FormChoice:
             return [plain]
         suspects = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
         loss = NODES.get(suspects[0], '') if suspects else ''
-        in_turn = (loss, *LOADS) if loss in RIVALS else (*LOADS, LOST_VOLTAGE)
-        kind = plain.with_effect(in_turn[(self._pace.trials - 1) % len(in_turn)])
-        return [plain, kind, *kind.rivals]
+        in_turn = ((loss,), LOADS) if loss in RIVALS else (LOADS, (LOST_VOLTAGE,))
+        nodes = in_turn[(self._pace.trials - 1) % len(in_turn)]
+        kinds = [plain.with_effect(node) for node in nodes]
+        return [plain, *kinds, *(rival for kind in kinds for rival in kind.rivals)]
 
     def _begin(
         self,
@@ -407,7 +424,7 @@ class FormChoice:
             'credit': self._budget.credit,
             'seen': self._place - place,
             'is_idle': self.is_idle,
-            'changed': None if self._change_place is None else self._change_place - place,
+            'change_count': self._change_count,
         }
         if self._trial is None:
             return plain, {}
@@ -454,8 +471,9 @@ class FormChoice:
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)
             self.is_idle = flag(plain, 'is_idle') and 'trial' not in plain
-        if plain.get('changed') is not None:  # not in files of early releases
-            self._change_place = place + whole(plain, 'changed', -MOST, MOST_AHEAD)
+        self._change_count = 0
+        if 'change_count' in plain:  # not in files of early releases
+            self._change_count = whole(plain, 'change_count')
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
             assert self._open is not None
             self._trial = FormTrial.restored(

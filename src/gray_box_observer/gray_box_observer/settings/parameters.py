@@ -368,10 +368,10 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'effects',
         'auto',
-        'Effects of driver and sensor (brush_drop, voltage_offset, dead_zone), and of a rotor its '
-        'load (load_torque, and quadratic_friction of a fan): auto adds them to context_nodes '
-        'where the data show them, and a lag of the current sensor (current_lag) to the physics; '
-        'none never does.',
+        'auto adds to context_nodes what the data show of driver and sensor (brush_drop, '
+        'voltage_offset, dead_zone) and on the shaft of a rotor (load_torque, quadratic_friction '
+        'of a fan); a lag of the current sensor (current_lag) is added to the physics. none never '
+        'adds anything.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(

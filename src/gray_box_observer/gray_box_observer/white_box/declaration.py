@@ -4,7 +4,7 @@
 4.2 and 4.4 with ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four
 quadrants. A brush drop, an offset and a dead zone stand beside them (docs/METHOD.md, The form). A
 motor whose inertia is a context node has a second balance,
-``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The whole motor).
+``Kt i = J dw/dt + B w + T_c sign(w) + C |w| w + T_load`` (docs/METHOD.md, The whole motor).
 
 A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`, and ``voltage``, which is
 held over an interval. It may use operators, numbers, ``abs`` and ``sign``. ``make physics``

@@ -343,13 +343,13 @@ def _floor(window: Window) -> OutputNoise:
 def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> OutputNoise:
     """Noise of both outputs by the medians of their residuals.
 
-    Of rounded readings the median tells nothing: while the motor rests their residual is zero.
+    Of an encoder that mostly rests the median tells nothing, for nothing is rounded off there.
     """
     current = MAD_TO_STD * float(median(np.abs(fit.runs.of_output(State.CURRENT))))
     speed = fit.runs.of_output(State.SPEED) / output.unit_a_s
     speed_std = MAD_TO_STD * float(median(np.abs(speed)))
-    if floor.step_rad_s > 0.0:
-        most = OUTLIER * max(speed_std, floor.step_rad_s)
+    if speed_std < floor.step_rad_s:
+        most = OUTLIER * floor.step_rad_s
         speed_std = max(speed_std, float(np.sqrt(np.mean(np.clip(speed, -most, most) ** 2))))
     noise_rad_s = max(speed_std, floor.least_rad_s)
     return replace(floor, current_a=max(current, fit.least_noise_a), speed_rad_s=noise_rad_s)

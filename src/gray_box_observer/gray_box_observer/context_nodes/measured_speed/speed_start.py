@@ -62,8 +62,9 @@ def _electrical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
 
 
 def _mechanical(white_box: MotorWhiteBox, history: History, speed: Array) -> dict[str, float]:
-    """Return J, B and T_c of ``Kt i = J dw/dt + B w + T_c sign(w) + T_load(t)``."""
+    """Return J, B, T_c and C of ``Kt i = J dw/dt + B w + T_c sign(w) + C |w| w + T_load(t)``."""
     interval = history.interval_s
+    has_fan = 'quadratic_friction' in white_box.context_nodes
     torque_constant = float(white_box.torque_constant)
     direction = np.sign(np.convolve(speed, np.full(SMOOTH, 1.0 / SMOOTH), mode='same'))
     places = knot_places(interval, LINES)
@@ -73,16 +74,19 @@ def _mechanical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
         _moved(speed),
         _moved(_integral(speed, interval)),
         _moved(_integral(direction, interval)),
+        *(_moved(_integral(np.abs(speed) * speed, interval)) for _ in range(has_fan)),
         *(_moved(line) for line in lines),
     ]
     right = torque_constant * _moved(_integral(history.current_a, interval))
-    inertia, viscous, dry = _solved(columns, right)[:3]
+    inertia, viscous, dry, *others = _solved(columns, right)
+    quadratic = others[0] if has_fan else 0.0
     torque = torque_constant * float(quantile(np.abs(history.current_a), 0.99))
-    slowest = LEAST_FRICTION * torque / (float(np.abs(speed).max()) + 1e-12)
+    slowness = 1.0 / (float(np.abs(speed).max()) + 1e-12)
     return {
         'inertia': inertia,
-        'viscous_friction': max(viscous, slowest),
+        'viscous_friction': max(viscous, LEAST_FRICTION * torque * slowness),
         'coulomb_friction': max(dry, LEAST_FRICTION * torque),
+        'quadratic_friction': max(quadratic, LEAST_FRICTION * torque * slowness**2),
     }
 
 

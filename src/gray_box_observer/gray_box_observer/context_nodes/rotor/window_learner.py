@@ -34,6 +34,13 @@ MEMORY = 0.98
 SHARP = 0.3
 """Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
 
+SHARP_FRICTION = 0.1
+"""The same of a friction beside one that grows with the square of the speed.
+
+Three frictions share what is known well of their sum. Where one is off by a quarter, a Gaussian of
+logarithms is not near enough.
+"""
+
 FEWEST_MOVES = 3
 """Moves of the voltage from which a motor is told: of a step or two a search may end at another
 motor that fits as well."""
@@ -91,6 +98,9 @@ class WindowLearner:
         nothing = np.zeros_like(theta)
         stated_std = nothing if initial_relative_std is None else initial_relative_std[0]
         self._is_stated = stated_std > 0.0
+        has_fan = 'quadratic_friction' in white_box.context_nodes
+        is_share = [has_fan and 'friction' in name for name in white_box.context_nodes]
+        self._sharp_std = np.where(is_share, SHARP_FRICTION, SHARP)
         std = np.where(self._is_stated, stated_std, VAGUE)
         self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
         self.memory: LogPrior | None = None
@@ -184,7 +194,7 @@ class WindowLearner:
 
     def _remember(self, covariance: Array) -> None:
         """Keep what is known of those parameters that the samples have told of."""
-        sharp = np.flatnonzero(np.diagonal(covariance) < SHARP**2)
+        sharp = np.flatnonzero(np.diagonal(covariance) < self._sharp_std**2)
         precision = np.zeros_like(covariance)
         precision[np.ix_(sharp, sharp)] = MEMORY * _inverse(covariance[np.ix_(sharp, sharp)])
         self.memory = LogPrior(self.logarithms, precision)
