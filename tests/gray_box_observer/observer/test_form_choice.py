@@ -248,7 +248,7 @@ def test_at_the_end_of_a_short_record_a_trial_is_finished() -> None:
                 break
     motor = observer.motors['motor']
     assert motor.white_box.speed_source == 'torque_constant'
-    assert 'too few samples have come' in motor.speed_reason
+    assert 'on trial: a rotor' in motor.speed_reason
     observer.flush()
     observer.finish()
     assert observer.motors['motor'].white_box.speed_source == 'rotor'

@@ -385,7 +385,10 @@ class FormChoice:
             return None
         self._pace.begin(self._place)
         if self._is_doubted(fit):
-            self._reasons.refusal = self._why_not_yet(candidates)
+            names = ', '.join(kind.in_words for kind in candidates)
+            self._reasons.refusal = (
+                f'{self.kind.in_words} does not explain the data; on trial: {names}'
+            )
         before_a = residual_a(white_box, nodes, own_content)
         start = TrialStart(
             self.kind,
