@@ -56,6 +56,7 @@ def test_a_record_says_what_its_user_knows_and_what_is_true() -> None:
     assert set(record.parameters) == {'motor.torque_constant', 'motor.back_emf_constant'}
     assert record.scenario.name == 'constant'
     assert record.truth['load_torque'] != 0.0
+    assert record.truth['quadratic_friction'] == 0.0
     assert record.readings.voltage_v.size == joint_record(3).readings.voltage_v.size
     assert np.array_equal(record.torque_nm, joint_record(3).torque_nm)
 
@@ -64,7 +65,7 @@ def test_rows_and_figures_count_joints() -> None:
     known = Trial('fan', 1, verdicts={'resistance': 'identified'}, errors={'resistance': 0.01})
     false = replace(known, false_at_end=['resistance'], false_longest_s=2.0)
     trials = [joints.JointTrial('fan', True, known), joints.JointTrial('fan', True, false)]
-    assert joints.rows(trials)[3] == ['speed measured, load: fan', *'2120011']
+    assert joints.rows(trials)[3] == ['speed measured, load: fan', *'21200011']
     values = {figure.name: figure.value for figure in joints.figures(trials)}
     assert values['  R identified and right, in %'] == 50.0
     assert values['  false at the end, in %'] == 50.0

@@ -419,7 +419,8 @@ def _check_mechanics(motor: MotorConfiguration) -> None:
     nodes = values['context_nodes']
     if 'inertia' not in nodes:
         raise ConfigurationError(
-            f'motor {name}: {motor.mechanical_nodes[0]} is among context_nodes without inertia'
+            f'motor {name}: {motor.mechanical_nodes[0]} is among context_nodes without inertia: '
+            'name inertia, viscous_friction and coulomb_friction, too'
         )
     if BACK_EMF in nodes or not values[BACK_EMF] > 0.0:
         raise ConfigurationError(

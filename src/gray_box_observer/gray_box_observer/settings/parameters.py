@@ -354,7 +354,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first. With speed_source rotor hysteresis gives way to '
         'inertia, viscous_friction and coulomb_friction unless it is stated. With speed_source '
-        'measured these three, load_torque and quadratic_friction may be added.',
+        'measured these three may be added; beside them, with either, load_torque and '
+        'quadratic_friction.',
     ),
     *_known_values(own=False),
     ParameterSpec(

@@ -67,7 +67,7 @@ class MotorWhiteBox:
         if still:
             raise ConfigurationError(
                 f'{still[0]} belongs to the rotor, which is a state only with its inertia among '
-                'context_nodes'
+                'context_nodes: set speed_source: rotor, or measured with inertia among them'
             )
         blind = [n for n in self.context_nodes if TERMS[n].needs_speed and not self.speed_measured]
         if blind:

@@ -150,7 +150,8 @@ class Collector:
         if not course.estimates:
             return ()
         estimates = [(t, e) for t, e in course.estimates if e.parameters == last.parameters]
-        estimates = estimates or [(course.samples[-1][0], last)]
+        if not estimates or not _is_same(estimates[-1][1], last):  # `identify` ends with a last fit
+            estimates.append((course.samples[-1][0], last))
         time_s = np.array([t for t, _ in estimates])
         value = np.array([e.value[0] for _, e in estimates])
         std = np.array([e.std[0] for _, e in estimates])
@@ -166,6 +167,14 @@ class Collector:
             )
             for j, p in enumerate(last.parameters)
         )
+
+
+def _is_same(one: Estimate, other: Estimate) -> bool:
+    return (
+        np.array_equal(one.value, other.value)
+        and np.array_equal(one.covariance, other.covariance)
+        and one.verdicts == other.verdicts
+    )
 
 
 def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
