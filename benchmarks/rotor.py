@@ -216,7 +216,6 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
     show_choices('auto: motors without rotor', still)
     fans = [run_choice(draw(fan_motor, seed, 1000.0, length_s)) for seed in range(seeds)]
     show_choices('auto: motors with a fan', fans)
-    claims = sum(choice.claims for choice in gears)
     return [
         Figure('auto: gear motors without rotor, share', share_of(gears, 'torque_constant'), 0.01),
         Figure('auto: other motors with a rotor, share', share_of(still, 'rotor'), 0.01),
@@ -228,7 +227,7 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
         ),
         Figure(
             'auto: false of all that was called identified, gear motors',
-            sum(choice.false for choice in gears) / max(1, claims),
+            share_false(gears),
             0.02,
             counts,
         ),
@@ -239,7 +238,7 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
         ),
         Figure(
             'auto: false of all that was called identified, motors with a fan',
-            sum(choice.false for choice in fans) / max(1, sum(choice.claims for choice in fans)),
+            share_false(fans),
             0.02,
             counts,
         ),
@@ -456,7 +455,7 @@ def over_bound(trials: Sequence[Trial]) -> np.ndarray:
     return made
 
 
-def share_false(trials: Sequence[Trial]) -> float:
+def share_false(trials: Sequence[Trial | Choice]) -> float:
     """Return how much of what was ever called identified was false."""
     return sum(trial.false for trial in trials) / max(1, sum(trial.claims for trial in trials))
 

@@ -47,45 +47,26 @@ def test_a_transient_with_hysteresis_agrees_with_an_adaptive_solver():
     assert run(Plant([THESIS]), 15.0, 0.4)[0, 0] == pytest.approx(truth, rel=1e-6)
 
 
-def test_rotor_mode_agrees_with_an_adaptive_solver():
-    motor = replace(
-        THESIS,
-        hysteresis=0.3,
-        inertia=2e-4,
-        viscous_friction=1e-3,
-        back_emf_constant=0.05,
-        load_torque=0.004,
-    )
+@pytest.mark.parametrize(
+    ('voltage_v', 'effects'),
+    [
+        (12.0, {'hysteresis': 0.3, 'load_torque': 0.004}),
+        (-12.0, {'hysteresis': 0.0, 'quadratic_friction': 2e-4}),
+    ],
+    ids=['hysteresis and load', 'fan'],
+)
+def test_rotor_mode_agrees_with_an_adaptive_solver(voltage_v, effects):
+    motor = replace(THESIS, inertia=2e-4, viscous_friction=1e-3, back_emf_constant=0.05, **effects)
 
     def equation(_, state):
         i, w = state
-        di = (12.0 - 1.0 * i - 0.05 * w - 0.3 * abs(w) * i) / 0.5
-        return [di, (0.01 * i - 1e-3 * w - 0.004) / 2e-4]
+        di = (voltage_v - 1.0 * i - 0.05 * w - motor.hysteresis * abs(w) * i) / 0.5
+        fan = motor.quadratic_friction * abs(w) * w
+        return [di, (0.01 * i - 1e-3 * w - fan - motor.load_torque) / 2e-4]
 
     truth = solve_ivp(equation, (0.0, 1.0), [0.0, 0.0], rtol=1e-11, atol=1e-13).y[:, -1]
-    assert run(Plant([motor], 'rotor'), 12.0, 1.0)[0] == pytest.approx(truth, rel=1e-5)
-
-
-def test_a_fan_takes_what_grows_with_the_square_of_the_speed():
-    motor = replace(
-        THESIS,
-        hysteresis=0.0,
-        inertia=2e-4,
-        viscous_friction=1e-3,
-        back_emf_constant=0.05,
-        quadratic_friction=2e-4,
-    )
-
-    def equation(_, state):
-        i, w = state
-        return [
-            (-12.0 - 1.0 * i - 0.05 * w) / 0.5,
-            (0.01 * i - 1e-3 * w - 2e-4 * abs(w) * w) / 2e-4,
-        ]
-
-    truth = solve_ivp(equation, (0.0, 1.0), [0.0, 0.0], rtol=1e-11, atol=1e-13).y[:, -1]
-    assert truth[1] < -10.0
-    assert run(Plant([motor], 'rotor'), -12.0, 1.0)[0] == pytest.approx(truth, rel=1e-5)
+    assert np.sign(voltage_v) * truth[1] > 10.0
+    assert run(Plant([motor], 'rotor'), voltage_v, 1.0)[0] == pytest.approx(truth, rel=1e-5)
 
 
 def test_a_light_rotor_with_unit_friction_is_the_motor_of_the_thesis():

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 GEAR_MOTOR = PlantParameters(
     inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
@@ -56,3 +59,26 @@ def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0)
             observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
         begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
     return begin_ns
+
+
+def observed(
+    record: Recording, speed_rad_s: NDArray[np.float64] | None = None, **values: object
+) -> Observer:
+    """Return an observer of a record, with its speed where that is measured."""
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **values}))
+    if speed_rad_s is None:
+        feed(observer, [record])
+        return observer
+    signals = (record.voltage_v[0], record.torque_nm[0], speed_rad_s)
+    for stamp, volt, torque, speed in zip(record.stamp_ns, *signals, strict=True):
+        observer.voltage('motor', int(stamp), float(volt))
+        observer.torque('motor', int(stamp), float(torque), float(speed))
+    return observer
+
+
+def told(motor: MotorView, name: str) -> tuple[float, float, Verdict]:
+    """Return value, standard deviation and verdict of a parameter."""
+    estimate = motor.estimate
+    place = [parameter.name for parameter in estimate.parameters].index(name)
+    value, std = float(estimate.value[0, place]), float(estimate.std[0, place])
+    return value, std, estimate.verdicts[0][place]

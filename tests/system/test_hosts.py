@@ -243,5 +243,6 @@ def test_an_outage_longer_than_the_histories_is_a_gap_that_is_counted_and_everyt
     facts = robot.diagnostics()
     robot.end()
     assert int(facts['samples used']) < len(robot.stamps_ns(SIGNALS[1]))
+    assert int(facts['samples missing']) + int(facts['pauses']) > 0
     predicted = robot.stamps_ns('/gray_box_observer/predicted_torque')
     assert len(predicted) == len(set(predicted.tolist())), 'a stamp was predicted twice'

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
+from numpy.typing import NDArray
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, observed, recorded, told
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
@@ -27,32 +28,21 @@ NODES = [
 ]
 
 
-def observed(record: Recording, *, with_speed: bool = False, **values: object) -> Observer:
-    """Return an observer of a record, of its speed with 0.5 % noise too where that is measured."""
-    observer = Observer(Configuration.from_flat({**CONSTANTS, **values}))
-    if not with_speed:
-        feed(observer, [record])
-        return observer
+def noisy_speed(record: Recording) -> NDArray[np.float64]:
+    """Return the speed of a record with 0.5 % noise."""
     speed = record.speed_rad_s[0]
     noise = np.random.default_rng(4).normal(0.0, 5e-3 * np.std(speed), speed.size)
-    signals = (record.voltage_v[0], record.torque_nm[0], speed + noise)
-    for stamp, volt, torque, speed in zip(record.stamp_ns, *signals, strict=True):
-        observer.voltage('motor', int(stamp), float(volt))
-        observer.torque('motor', int(stamp), float(torque), float(speed))
-    return observer
+    return np.asarray(speed + noise)
 
 
 def assert_right(motor: MotorView, names: list[str]) -> None:
     """Assert that some parameters are identified, and right."""
-    estimate = motor.estimate
-    for place, parameter in enumerate(estimate.parameters):
-        if parameter.name not in names:
-            continue
-        value, std = float(estimate.value[0, place]), float(estimate.std[0, place])
-        true = getattr(FAN, parameter.name)
-        assert estimate.verdicts[0][place] is Verdict.IDENTIFIED, parameter.name
-        assert abs(value - true) < max(4.0 * std, 0.01 * true), parameter.name
-        assert value == pytest.approx(true, rel=0.05), parameter.name
+    for name in names:
+        value, std, verdict = told(motor, name)
+        true = getattr(FAN, name)
+        assert verdict is Verdict.IDENTIFIED, name
+        assert abs(value - true) < max(4.0 * std, 0.01 * true), name
+        assert value == pytest.approx(true, rel=0.05), name
 
 
 @pytest.mark.slow
@@ -73,9 +63,7 @@ def test_where_nothing_is_added_the_remedy_names_a_fan(seed: int) -> None:
     assert motor.added_effects == ()
     assert motor.fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
     assert 'quadratic_friction' in motor.fit.suspects[0].remedy
-    names = [parameter.name for parameter in motor.estimate.parameters]
-    verdicts = dict(zip(names, motor.estimate.verdicts[0], strict=True))
-    assert verdicts['viscous_friction'] is not Verdict.IDENTIFIED
+    assert told(motor, 'viscous_friction')[2] is not Verdict.IDENTIFIED
 
 
 def test_a_remedy_names_only_what_is_missing() -> None:
@@ -94,7 +82,8 @@ def test_a_motor_without_a_fan_has_none() -> None:
 @pytest.mark.slow
 def test_a_fan_that_is_named_is_told_beside_a_measured_speed() -> None:
     values = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
-    motor = observed(recorded(FAN, LIVELY, 8.0, 2), with_speed=True, **values).motors['motor']
+    record = recorded(FAN, LIVELY, 8.0, 2)
+    motor = observed(record, noisy_speed(record), **values).motors['motor']
     assert motor.fit.verdict is FitVerdict.OK
     assert_right(motor, NODES)
 
@@ -105,31 +94,17 @@ GEAR = 30.0
 @pytest.mark.slow
 def test_a_fan_behind_a_gear_is_told_from_no_near_start() -> None:
     """Its coefficient is 27,000 times as large as where identification starts by default."""
-    slow = replace(
-        FAN,
-        torque_constant=GEAR * FAN.torque_constant,
-        back_emf_constant=GEAR * FAN.back_emf_constant,
-        inertia=GEAR**2 * FAN.inertia,
-        viscous_friction=GEAR**2 * FAN.viscous_friction,
-        coulomb_friction=GEAR * FAN.coulomb_friction,
-        quadratic_friction=GEAR**3 * FAN.quadratic_friction,
-    )
+    powers = {'inertia': 2, 'coulomb_friction': 1, 'quadratic_friction': 3}
     record = recorded(FAN, LIVELY, 8.0, 2)
     geared = replace(
         record, torque_nm=GEAR * record.torque_nm, speed_rad_s=record.speed_rad_s / GEAR
     )
     constants = {name: GEAR * value for name, value in CONSTANTS.items()}
     values = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES, **constants}
-    motor = observed(geared, with_speed=True, **values).motors['motor']
-    value = dict(
-        zip(
-            [parameter.name for parameter in motor.estimate.parameters],
-            motor.estimate.value[0].tolist(),
-            strict=True,
-        )
-    )
-    for name in ('inertia', 'coulomb_friction', 'quadratic_friction'):
-        assert value[name] == pytest.approx(getattr(slow, name), rel=0.02), name
+    motor = observed(geared, noisy_speed(geared), **values).motors['motor']
+    for name, power in powers.items():
+        true = GEAR**power * getattr(FAN, name)
+        assert told(motor, name)[0] == pytest.approx(true, rel=0.02), name
 
 
 STAGES: dict[str, Callable[[dict[str, Any]], bool]] = {

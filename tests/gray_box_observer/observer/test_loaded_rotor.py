@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, observed, recorded, told
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
@@ -26,21 +26,6 @@ NODES = [
     'inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction', 'load_torque'
 ]  # fmt: skip
 LOADED = {'motor.speed_source': 'rotor', 'motor.context_nodes': NODES}
-
-
-def observed(record: Recording, **values: object) -> Observer:
-    """Return an observer of a record."""
-    observer = Observer(Configuration.from_flat({**CONSTANTS, **values}))
-    feed(observer, [record])
-    return observer
-
-
-def told(motor: MotorView, name: str) -> tuple[float, float, Verdict]:
-    """Return value, standard deviation and verdict of a parameter."""
-    estimate = motor.estimate
-    place = [parameter.name for parameter in estimate.parameters].index(name)
-    value, std = float(estimate.value[0, place]), float(estimate.std[0, place])
-    return value, std, estimate.verdicts[0][place]
 
 
 @pytest.mark.slow
@@ -139,12 +124,7 @@ def test_a_start_of_what_data_may_add_is_held_to_its_range_too() -> None:
 def measured(record: Recording, **values: object) -> MotorView:
     """Return the motor of a record whose speed is measured."""
     named = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
-    observer = Observer(Configuration.from_flat({**CONSTANTS, **named, **values}))
-    signals = (record.voltage_v[0], record.torque_nm[0], record.speed_rad_s[0])
-    for stamp, volt, torque, speed in zip(record.stamp_ns, *signals, strict=True):
-        observer.voltage('motor', int(stamp), float(volt))
-        observer.torque('motor', int(stamp), float(torque), float(speed))
-    return observer.motors['motor']
+    return observed(record, record.speed_rad_s[0], **named, **values).motors['motor']
 
 
 def test_a_doubt_about_kt_is_relative_to_the_load_itself() -> None:

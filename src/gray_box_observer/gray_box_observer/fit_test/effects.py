@@ -255,10 +255,11 @@ EFFECTS: dict[str, Effect] = {
 }
 """Every effect by its name."""
 
-_LOADS = {
+LOADS = {
     'load_torque': 'load_torque for a load that does not vary',
     'quadratic_friction': 'quadratic_friction for a fan',
 }
+"""Context nodes that a load on the shaft may be, with what each is for."""
 
 
 def load_remedy(*nodes: str) -> str:
@@ -268,7 +269,7 @@ def load_remedy(*nodes: str) -> str:
         nodes: context nodes or stated values among those that a load may be.
     """
     always = "publish the speed in motor/torque's velocity: a load that varies is followed then"
-    others = [words for node, words in _LOADS.items() if node not in nodes]
+    others = [words for node, words in LOADS.items() if node not in nodes]
     if not others:
         return always
     return (

@@ -28,6 +28,7 @@ from gray_box_observer.fit_test.effects import (
     EFFECTS,
     ESTIMATED_REMEDIES,
     LOAD,
+    LOADS,
     REMEDIES,
     ROTOR_REMEDIES,
     load_remedy,
@@ -488,8 +489,7 @@ class WindowTest:
 
     def _of_load(self, evidence: float) -> Suspect:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
-        nodes = ('load_torque', 'quadratic_friction')
-        remedy = load_remedy(*filter(self.configuration.has_value, nodes))
+        remedy = load_remedy(*filter(self.configuration.has_value, LOADS))
         return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
 
 

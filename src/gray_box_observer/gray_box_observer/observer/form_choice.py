@@ -321,8 +321,9 @@ class FormChoice:
         if self.kind.source == ROTOR:
             kinds += self.kind.rivals
         different = [*dict.fromkeys(kind for kind in kinds if self.may_take(kind))]
-        others = [] if plain is None or plain in different else [plain]
-        others = [kind for kind in others if self.may_take(kind)]
+        others = []
+        if plain is not None and plain not in different and self.may_take(plain):
+            others.append(plain)
         room = MOST_CANDIDATES - len(different) - len(others)
         return (*different, *self._with_loads(different, room), *others)[:MOST_CANDIDATES]
 

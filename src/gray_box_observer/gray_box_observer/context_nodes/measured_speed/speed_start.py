@@ -64,22 +64,24 @@ def _electrical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
 def _mechanical(white_box: MotorWhiteBox, history: History, speed: Array) -> dict[str, float]:
     """Return J, B, T_c and C of ``Kt i = J dw/dt + B w + T_c sign(w) + C |w| w + T_load(t)``."""
     interval = history.interval_s
-    has_fan = 'quadratic_friction' in white_box.context_nodes
     torque_constant = float(white_box.torque_constant)
     direction = np.sign(np.convolve(speed, np.full(SMOOTH, 1.0 / SMOOTH), mode='same'))
     places = knot_places(interval, LINES)
     hats = np.maximum(1.0 - np.abs(places - np.arange(LINES)[:, None]), 0.0)
     lines = np.concatenate([np.zeros((LINES, 1)), np.cumsum(hats * interval, axis=1)], axis=1)
+    fan = []
+    if 'quadratic_friction' in white_box.context_nodes:
+        fan.append(_moved(_integral(np.abs(speed) * speed, interval)))
     columns = [
         _moved(speed),
         _moved(_integral(speed, interval)),
         _moved(_integral(direction, interval)),
-        *(_moved(_integral(np.abs(speed) * speed, interval)) for _ in range(has_fan)),
+        *fan,
         *(_moved(line) for line in lines),
     ]
     right = torque_constant * _moved(_integral(history.current_a, interval))
     inertia, viscous, dry, *others = _solved(columns, right)
-    quadratic = others[0] if has_fan else 0.0
+    quadratic = others[0] if fan else 0.0
     torque = torque_constant * float(quantile(np.abs(history.current_a), 0.99))
     slowness = 1.0 / (float(np.abs(speed).max()) + 1e-12)
     return {
