@@ -20,6 +20,9 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 TIMEOUT_S = 120.0
+WAITED_IN_VAIN = r'waited [0-9.]+ s for '
+CRASHES = (-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGILL, -signal.SIGFPE)
+"""Exit codes of processes that died of a defect."""
 ASK_AGAIN_S = 15.0
 
 
@@ -73,10 +76,12 @@ LIVE_MODULES = ('rclpy', 'subprocess', 'multiprocessing')
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what starts nodes or processes, and repeat a test whose process died in the middleware.
+    """Mark what starts nodes or processes, and repeat what the machine may have spoilt.
 
-    Fast DDS has died of a segmentation fault while a participant was being deleted. Such a test on
-    real DDS runs once more, and the run tells of it (``rerun``); a test that fails still fails.
+    A test on real DDS runs once more where its process died in the middleware (Fast DDS has died
+    of a segmentation fault while a participant was being deleted), and where it waited in vain: a
+    machine that stands still for longer than a queue lasts loses messages. The run tells of both
+    (``rerun``). What is found wrong fails at once, and what fails twice fails.
     """
     repeats = config.pluginmanager.hasplugin('rerunfailures')
     for item in items:
@@ -84,7 +89,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if on_dds or any(name in vars(item.module) for name in LIVE_MODULES):
             item.add_marker(pytest.mark.live)
         if repeats and on_dds:
-            item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=['said by no test that fails']))
+            item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=[WAITED_IN_VAIN]))
 
 
 class Peer:
@@ -107,7 +112,11 @@ class Peer:
             command += ['--ros-args']
         for name, value in parameters.items():
             command += ['-p', f'{name.replace("__", ".")}:={value}']
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain)}
+        environment = {
+            **os.environ,
+            'ROS_DOMAIN_ID': str(self.domain),
+            'PYTHONFAULTHANDLER': '1',
+        }
         process = subprocess.Popen(
             command,
             env=environment,
@@ -122,11 +131,20 @@ class Peer:
     def wait(
         self, condition: Callable[[], object], what: str, timeout_s: float = TIMEOUT_S
     ) -> None:
-        """Spin until the condition holds; fail after a time-out."""
+        """Spin until the condition holds; fail after a time-out, or when a process has crashed."""
         until_s = time.monotonic() + timeout_s
         while not condition():
+            self._require_living(what)
             assert time.monotonic() < until_s, f'waited {timeout_s} s for {what}'
             self.executor.spin_once(timeout_sec=0.02)
+
+    def _require_living(self, what: str) -> None:
+        """Fail where a process has died of a signal that nobody here has sent."""
+        for process in self._running:
+            if process.poll() in CRASHES:
+                code = process.returncode
+                said = process.communicate(timeout=TIMEOUT_S)[1]
+                raise AssertionError(f'waiting for {what}: {process.args} ended by {code}: {said}')
 
     def listen(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
         """Subscribe; the list fills while the peer spins."""

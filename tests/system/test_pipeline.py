@@ -59,9 +59,12 @@ class Controller:
 
     def wait_for_samples(self, count: int) -> None:
         """Wait until the observer has used so many samples and has refused none."""
-        self.peer.wait(
-            lambda: self.counts().get('samples used') == str(count), f'{count} samples used'
-        )
+        try:
+            self.peer.wait(
+                lambda: self.counts().get('samples used') == str(count), f'{count} samples used'
+            )
+        except AssertionError as error:
+            raise AssertionError(f'{error}; the observer said {self.counts()}') from None
         assert self.counts()['rejected'] == 'none'
 
 
