@@ -402,3 +402,30 @@ def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> Non
     samples = feed(pairing, events) + pairing.flush()
     assert [s.stamp_ns // MS for s in samples] == list(range(-100, 100, 10))
     assert pairing.rejected == {}
+
+
+@pytest.mark.parametrize('late_ms', [300, 4900])
+def test_torque_waits_longer_for_the_first_voltage_which_its_reader_may_find_later(
+    late_ms: int,
+) -> None:
+    pairing = Pairing()
+    torques = [('t', at, 0.1) for at in range(0, late_ms, 10)]
+    assert feed(pairing, torques) == []
+    samples = feed(pairing, [('v', at, 1.0) for at in range(0, late_ms, 10)])
+    assert len(samples) == len(torques)
+    assert pairing.rejected == {}
+
+
+def test_torque_waits_as_long_for_the_first_speed_of_a_topic_of_its_own() -> None:
+    pairing = Pairing(own_speed=True)
+    assert feed(pairing, [(kind, at, 1.0) for at in range(0, 3000, 10) for kind in 'vt']) == []
+    samples = [one for at in range(0, 3000, 10) for one in pairing.speed(at * MS, 2.0)]
+    assert len(samples) == 300
+    assert pairing.rejected == {}
+
+
+def test_torque_is_refused_where_no_voltage_comes_for_five_seconds() -> None:
+    pairing = Pairing()
+    assert feed(pairing, [('t', at, 0.1) for at in range(0, 6000, 10)]) == []
+    assert pairing.waiting_count <= 26
+    assert pairing.rejected == {Rejection.NO_VOLTAGE: 600 - pairing.waiting_count}

@@ -41,8 +41,11 @@ from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
 PATIENCE_NS = 5_000_000_000
-"""How far torque may run ahead of a voltage that has always come. A reader that was busy finds the
-messages of one topic behind those of the other; without the voltage torque would be refused."""
+"""How far torque may run ahead of a voltage that has always come, or of the first one.
+
+A reader that was busy finds the messages of one topic behind those of the other, and at the start
+it may hear of one publisher later. Without the voltage torque would be refused.
+"""
 
 MOST_PATIENT = SLACK
 """Torques that may wait so: the raw history allows for as many in another order, and by default the
@@ -57,7 +60,7 @@ class PairingSettings:
         gap_s: a longer silence of torque starts the signal history anew; it never becomes a
             derivative.
         hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on;
-            further, up to PATIENCE_NS, where the voltage has always come.
+            further, up to PATIENCE_NS, where the voltage has always come or none has come yet.
         jump_back_s: a stamp that is earlier than the newest by more than this means that the clock
             was set back or a bag began again (the signal history restarts); by less, that the
             message was merely out of order.
@@ -333,12 +336,15 @@ class Pairing:
         """Return how far torque may run ahead of what it waits for; its newest stamp is given."""
         oldest_ns = self._torques[0][0]
         voltage_ns = self._voltages.newest_ns
-        awaits_voltage = voltage_ns is not None and voltage_ns < oldest_ns
-        if not (self._is_patient and awaits_voltage and self._voltages.is_regular):
+        if voltage_ns is None or (self._own_speed and self._speeds.newest_ns is None):
+            is_awaited = True  # without it torque is lost in any case
+        else:
+            is_awaited = voltage_ns < oldest_ns and self._voltages.is_regular
+        if not (self._is_patient and is_awaited):
             return self._hold_ns
         if stamp_ns - oldest_ns < self._patience_ns and len(self._torques) <= MOST_PATIENT:
             return self._patience_ns
-        self._is_patient = False  # the voltage does not come: waiting on would only be late
+        self._is_patient = False  # it does not come: waiting on would only be late
         return self._hold_ns
 
     def _known_ns(self) -> int | None:

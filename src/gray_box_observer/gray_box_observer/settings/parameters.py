@@ -95,7 +95,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'hold_s',
         0.25,
         'How far torque may run ahead of voltage, in s, before voltage is held; up to 5 s where it '
-        'has always come.',
+        'has always come, or never yet.',
         0.0,
         1e6,
         live=True,
