@@ -22,10 +22,12 @@ pytestmark = pytest.mark.system
 
 TIMEOUT_S = 120.0
 SCRIPT = """
+    import itertools
     import sys
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from gray_box_observer.errors import BagError
+    from gray_box_observer.ros import running
     from gray_box_observer.ros.running import make_executor, run_node
 
     how, executor = sys.argv[1:3]
@@ -56,14 +58,21 @@ SCRIPT = """
             if how == 'ends with an error':
                 self.stop(BagError('disk full'))
                 self.stop(BagError('only a consequence'))
-            if how == 'cannot close':
+            if how in ('cannot close', 'is not let go'):
                 self.stop()
+
+        def destroy_node(self):
+            if how == 'is not let go':
+                sum(itertools.repeat(0))  # as deaf as the middleware
+            super().destroy_node()
 
         def close(self):
             print('closed', flush=True)
             if how == 'cannot close':
                 raise BagError('cannot close')
 
+    if how == 'is not let go':
+        running._GIVE_UP_S = 0.5
     factory = make_executor if executor == 'default' else SingleThreadedExecutor
     raise SystemExit(run_node(Example, sys.argv, name='example', executor_factory=factory))
 """
@@ -126,6 +135,14 @@ def test_a_signal_ends_an_idle_node_at_once_and_lets_it_close(number, executor):
     process.send_signal(number)
     returned, out, errors = finish(process)
     assert (returned, out, errors) == (0, 'closed\n', [])
+
+
+def test_a_node_that_the_middleware_does_not_let_go_ends_after_a_while_and_says_where():
+    process = start('is not let go')
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1
+    assert 'closed' in out
+    assert 'Timeout' in err and 'destroy_node' in err
 
 
 def test_a_defect_shows_its_traceback():

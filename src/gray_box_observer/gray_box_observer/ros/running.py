@@ -8,6 +8,7 @@ and shows its traceback.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import gc
 import os
 import re
@@ -56,6 +57,13 @@ _PATIENCE_S = 1.0
 _TAKE_DOWN_S = 2.0
 """How long the publishers of a node that has ended are taken down one by one. Of tens of thousands
 that takes a minute: then the process ends at once, and others see it go by its lease."""
+
+_GIVE_UP_S = 30.0
+"""How long the middleware may take to let go of a node that has finished its work.
+
+Fast DDS can wait for itself for ever where a participant ends while it discovers another one
+(eProsima/Fast-DDS issue 6513), with Python's lock held, so that no thread of Python hears a signal.
+"""
 
 
 class EndRequestedError(GrayBoxError):
@@ -237,14 +245,25 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> bool:
             _close(node)
         except GrayBoxError as error:
             stop(error)
+        _limit_end()
         executor.remove_node(node)
         executor.shutdown()
         is_down = _take_down(node)
     return is_down
 
 
+def _limit_end() -> None:
+    """Have the process end with code 1 and its traceback where its end takes too long.
+
+    What waits for that is a thread that needs nothing of Python.
+    """
+    with suppress(RuntimeError, ValueError, OSError):  # there is no stderr
+        faulthandler.dump_traceback_later(_GIVE_UP_S, exit=True)
+
+
 def _take_down(node: Node) -> bool:
     """Destroy a node whose work is done; tell whether that was possible in time."""
+    _limit_end()
     until_s = time.monotonic() + _TAKE_DOWN_S
     for publisher in list(node.publishers):
         if time.monotonic() > until_s:
@@ -276,6 +295,7 @@ def _close(node: Node) -> None:
 
 
 def _fail(name: str, error: BaseException) -> int:
+    _limit_end()
     with suppress(Exception):  # the context may never have come up
         rclpy.try_shutdown()
     print(f'{name}: error: {_one_line(error)}', file=sys.stderr, flush=True)
