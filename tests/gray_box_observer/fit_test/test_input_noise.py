@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import pytest
-from linear_motor_records import (
-    INDUCTANCE_H,
-    RESISTANCE_OHM,
-    TORQUE_CONSTANT,
-    Floats,
-    steps,
-)
+from linear_motor_records import RESISTANCE_OHM, TORQUE_CONSTANT, Floats, steps
+from turning_motor_records import NODES, SAMPLES, true_coordinates, turning_motor, white_box
 
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -27,31 +21,13 @@ from gray_box_observer.fit_test.input_noise import (
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
+from gray_box_observer.white_box.flow import swapped_logarithms
 
-SAMPLES = 2000
 SEEDS = 40
-SUBSTEPS = 50
-BACK_EMF_CONSTANT = 0.05
-HYSTERESIS = 0.02
 CURRENT_STD = 0.01
-TRUTH = {
-    'inductance': INDUCTANCE_H,
-    'resistance': RESISTANCE_OHM,
-    'back_emf_constant': BACK_EMF_CONSTANT,
-    'hysteresis': HYSTERESIS,
-}
-NAMES = tuple(TRUTH)
 RHO = 0.3
-
-
-def _white_box(*context_nodes: str) -> MotorWhiteBox:
-    known = {name: value for name, value in TRUTH.items() if name not in context_nodes}
-    return MotorWhiteBox(context_nodes, TORQUE_CONSTANT, known, speed_measured=True)
-
-
-L_AND_R = _white_box(*NAMES[:2])
-ALL = _white_box(*NAMES)
+L_AND_R = white_box(*NODES[:2])
+ALL = white_box(*NODES)
 
 
 @dataclass(frozen=True)
@@ -67,39 +43,6 @@ SPEED = Noise(speed=1.0)
 VOLTAGE = Noise(voltage=0.05)
 
 
-@cache
-def _motor(rho: float, dither_v: float = 0.0, turning_rad_s: float = 0.0) -> SampleWindow:
-    """A motor that turns as a slow sine, its speed straight from reading to reading.
-
-    Args:
-        rho: electrical time constants in a sample interval.
-        dither_v: standard deviation of noise that the driver really applies.
-        turning_rad_s: of noise in the speed that the shaft really makes.
-    """
-    rng = np.random.default_rng(8)
-    interval_s = rho * INDUCTANCE_H / RESISTANCE_OHM
-    voltage_v = steps(SAMPLES, 1, -4.0, 4.0) + dither_v * rng.normal(size=SAMPLES)
-    speed_rad_s = 40.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 1000.0)
-    speed_rad_s += turning_rad_s * rng.normal(size=SAMPLES)
-    middles = (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS
-    currents_a = [0.0]
-    for voltage, start, end in zip(voltage_v, speed_rad_s, speed_rad_s[1:], strict=False):
-        current_a = currents_a[-1]
-        for speed in start + middles * (end - start):
-            resistance = RESISTANCE_OHM + HYSTERESIS * abs(speed)
-            settled_a = (voltage - BACK_EMF_CONSTANT * speed) / resistance
-            stays = np.exp(-interval_s / SUBSTEPS * resistance / INDUCTANCE_H)
-            current_a = settled_a + stays * (current_a - settled_a)
-        currents_a.append(current_a)
-    return SampleWindow(
-        np.array(currents_a)[None],
-        voltage_v[None, :-1],
-        np.full((1, SAMPLES - 1), interval_s),
-        speed_rad_s[None],
-        np.zeros((1, SAMPLES - 1), dtype=bool),
-    )
-
-
 def _measured(motor: SampleWindow, seed: int, noise: Noise = NOISELESS) -> SampleWindow:
     rng = np.random.default_rng([seed, 5])
     return replace(
@@ -110,46 +53,40 @@ def _measured(motor: SampleWindow, seed: int, noise: Noise = NOISELESS) -> Sampl
     )
 
 
-def _coordinates(white_box: MotorWhiteBox) -> Floats:
-    return to_coordinates(np.array([[TRUTH[name] for name in white_box.context_nodes]]))
-
-
-def _shift(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
+def _shift(box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
     """By how much the noise of the inputs moves the logarithms, as the fit test says."""
-    p = _coordinates(white_box)
-    run = free_run(white_box, p, stretch)
+    p = true_coordinates(box)
+    run = free_run(box, p, stretch)
     projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
-    scores = input_noise_scores(white_box, p, run, voltage_variances(run))
+    scores = input_noise_scores(box, p, run, voltage_variances(run))
     return projection.shift_of_scores(scores)
 
 
-def _fitted_step(white_box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
+def _fitted_step(box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
     """First step of a least-squares fit from the true values, in logarithms."""
-    run = free_run(white_box, _coordinates(white_box), stretch)
+    run = free_run(box, true_coordinates(box), stretch)
     columns = np.column_stack([run.jacobian[:, 0], swapped_logarithms(run.jacobian[:, 1:])])
     return np.asarray(np.linalg.lstsq(columns, run.residual_a, rcond=None)[0][1:])
 
 
-@pytest.mark.parametrize('white_box', [L_AND_R, ALL], ids=['L and R', 'all'])
+@pytest.mark.parametrize('box', [L_AND_R, ALL], ids=['L and R', 'all'])
 @pytest.mark.parametrize('rho', [0.3, 1.0, 3.0])
 @pytest.mark.parametrize('noise', [SPEED, VOLTAGE], ids=['speed', 'voltage'])
-def test_the_bias_is_that_of_repeated_fits(
-    noise: Noise, rho: float, white_box: MotorWhiteBox
-) -> None:
-    stretches = [_measured(_motor(rho), seed, noise) for seed in range(SEEDS)]
-    first_steps = [_fitted_step(white_box, stretch) for stretch in stretches]
+def test_the_bias_is_that_of_repeated_fits(noise: Noise, rho: float, box: MotorWhiteBox) -> None:
+    stretches = [_measured(turning_motor(rho), seed, noise) for seed in range(SEEDS)]
+    first_steps = [_fitted_step(box, stretch) for stretch in stretches]
     chance = np.std(first_steps, axis=0) / np.sqrt(SEEDS)
     bias = np.mean(first_steps, axis=0)
-    shift = np.mean([_shift(white_box, stretch) for stretch in stretches], axis=0)
+    shift = np.mean([_shift(box, stretch) for stretch in stretches], axis=0)
     assert bias[0] > 5.0 * chance[0]  # noise makes L too large
     assert (np.abs(shift - bias) < 4.0 * chance + 0.1 * np.abs(shift)).all()
 
 
 @pytest.mark.parametrize('noise', [SPEED, VOLTAGE], ids=['speed', 'voltage'])
 def test_the_standard_deviation_of_the_inductance_contains_it(noise: Noise) -> None:
-    p = _coordinates(L_AND_R)
-    noisy = _measured(_motor(RHO), 3, noise)
-    exact = _measured(_motor(RHO), 3)
+    p = true_coordinates(L_AND_R)
+    noisy = _measured(turning_motor(RHO), 3, noise)
+    exact = _measured(turning_motor(RHO), 3)
     assert np.abs(analyse(L_AND_R, p, noisy).open_shifts).max() > 0.005
     assert np.abs(analyse(L_AND_R, p, exact).open_shifts).max() < 1e-4
 
@@ -157,13 +94,13 @@ def test_the_standard_deviation_of_the_inductance_contains_it(noise: Noise) -> N
 @pytest.mark.parametrize('seed', range(5))
 @pytest.mark.parametrize('dither_v', [0.05, 2.0])
 def test_noise_that_the_driver_applies_leaves_nothing_open(dither_v: float, seed: int) -> None:
-    stretch = _measured(_motor(RHO, dither_v=dither_v), seed)
+    stretch = _measured(turning_motor(RHO, dither_v=dither_v), seed)
     assert np.abs(_shift(L_AND_R, stretch)).max() < 1e-4
 
 
 def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_current() -> None:
     """The loop answers every reading; what is measured of its voltage has noise of its own."""
-    blocked = MotorWhiteBox(NAMES[:2], TORQUE_CONSTANT)
+    blocked = MotorWhiteBox(NODES[:2], TORQUE_CONSTANT)
     rng = np.random.default_rng(5)
     decay = np.exp(-RHO)
     gain = (1.0 - decay) / RESISTANCE_OHM
@@ -176,7 +113,7 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
         voltage_v[sample] = RESISTANCE_OHM * reference_a
         voltage_v[sample] += 0.5 / gain * (reference_a - readings_a[sample])
         current_a = decay * current_a + gain * voltage_v[sample]
-    motor = _motor(RHO)
+    motor = turning_motor(RHO)
     stretch = replace(
         motor,
         state=readings_a[None],
@@ -190,8 +127,8 @@ def test_noise_of_the_voltage_is_seen_where_a_controller_answers_that_of_the_cur
 
 
 def test_under_a_controller_that_answers_the_largest_likely_noise_counts() -> None:
-    p = _coordinates(L_AND_R)
-    stretch = _measured(_motor(RHO), 1, VOLTAGE)
+    p = true_coordinates(L_AND_R)
+    stretch = _measured(turning_motor(RHO), 1, VOLTAGE)
     run = free_run(L_AND_R, p, stretch)
 
     def scores(by_neighbours: Amount, by_the_one_before: Amount) -> Floats:
@@ -210,21 +147,21 @@ def test_under_a_controller_that_answers_the_largest_likely_noise_counts() -> No
 
 @pytest.mark.parametrize('seed', range(5))
 def test_a_shaft_that_turns_restlessly_has_hardly_any_noise(seed: int) -> None:
-    restless = _measured(_motor(RHO, turning_rad_s=3.0), seed)
-    noisy = _measured(_motor(RHO), seed, Noise(speed=3.0))
+    restless = _measured(turning_motor(RHO, turning_rad_s=3.0), seed)
+    noisy = _measured(turning_motor(RHO), seed, Noise(speed=3.0))
     assert _shift(L_AND_R, restless)[0] < 0.25 * _shift(L_AND_R, noisy)[0]
 
 
 def test_rounding_adds_to_the_noise_of_a_speed() -> None:
     step_rad_s = 4.0
-    noisy = _measured(_motor(RHO), 2, Noise(speed=0.5 * step_rad_s))
+    noisy = _measured(turning_motor(RHO), 2, Noise(speed=0.5 * step_rad_s))
     rounded = replace(noisy, speed_rad_s=step_rad_s * np.round(noisy.speed_rad_s / step_rad_s))
-    both = _measured(_motor(RHO), 2, Noise(speed=step_rad_s * np.sqrt(0.25 + 1.0 / 12.0)))
+    both = _measured(turning_motor(RHO), 2, Noise(speed=step_rad_s * np.sqrt(0.25 + 1.0 / 12.0)))
     assert _shift(L_AND_R, rounded)[0] == pytest.approx(_shift(L_AND_R, both)[0], rel=0.2)
 
 
 def test_intervals_without_a_past_count_for_nothing() -> None:
-    stretch = _measured(_motor(RHO), 1, SPEED)
+    stretch = _measured(turning_motor(RHO), 1, SPEED)
     restart = np.zeros_like(stretch.restart)
     restart[0, 300::300] = True
     gaps = replace(stretch, restart=restart)
@@ -233,4 +170,4 @@ def test_intervals_without_a_past_count_for_nothing() -> None:
 
 def test_a_speed_that_nobody_measures_has_no_noise() -> None:
     blocked = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
-    assert not _shift(blocked, _measured(_motor(RHO), 0, Noise(speed=4.0))).any()
+    assert not _shift(blocked, _measured(turning_motor(RHO), 0, Noise(speed=4.0))).any()

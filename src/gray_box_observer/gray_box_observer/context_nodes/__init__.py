@@ -5,6 +5,7 @@ from gray_box_observer.context_nodes.gradient import GradientSettings, GradientU
 from gray_box_observer.context_nodes.measured_speed.measured_speed_update import (
     MeasuredSpeedUpdate,
     can_be_output,
+    measured_speed,
     published_known_parts,
 )
 from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
@@ -26,5 +27,6 @@ __all__ = [
     'Verdict',
     'VerdictSettings',
     'can_be_output',
+    'measured_speed',
     'published_known_parts',
 ]

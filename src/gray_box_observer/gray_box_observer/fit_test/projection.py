@@ -96,6 +96,11 @@ class Projection:
         shift = _solved(self._r, self._q.T @ signal) / self._scale
         return _of_parameters(shift[1 : self._unknowns])
 
+    def influence(self) -> Array:
+        """Return how far one ampere at a sample moves the log-parameters, (parameter, sample)."""
+        shift = _solved(self._r, self._q.T) / self._scale[:, None]
+        return np.asarray(_of_parameters(shift[1 : self._unknowns]) * self._root)
+
     def shift_of_scores(self, scores: Array) -> Array:
         """Return by how much a bias moves the log-parameters, shape (parameter,).
 

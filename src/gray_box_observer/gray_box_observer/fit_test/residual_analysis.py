@@ -44,6 +44,7 @@ from gray_box_observer.fit_test.projection import (
 )
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.rounding import rounding_errors
+from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts
 from gray_box_observer.fit_test.stamp_errors import (
     StampError,
     stamp_amounts,
@@ -142,8 +143,8 @@ class ResidualAnalysis:
         open_shifts: shape (question, parameter): by how much the logarithms of the parameters may
             be off, each by what the residual does not show: rounding, which of two twins it is,
             noise of measured voltage and speed, least squares elsewhere, a friction that is not
-            quite that of the white box, a speed that comes late, and a lag that is not quite as
-            found.
+            quite that of the white box, a measured speed that is not that of the whole motor, one
+            that comes late, and a lag that is not quite as found.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -198,9 +199,12 @@ def analyse(
     earlier: Evidence = NO_EVIDENCE,
     new: int | None = None,
     lag_s: float = 0.0,
+    measured_rad_s: Array | None = None,
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor, at once; see :func:`analysis_in_pieces`."""
-    return completed(analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new, lag_s))
+    return completed(
+        analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new, lag_s, measured_rad_s)
+    )
 
 
 def analysis_in_pieces(
@@ -211,6 +215,7 @@ def analysis_in_pieces(
     earlier: Evidence,
     new: int | None,
     lag_s: float,
+    measured_rad_s: Array | None,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -222,6 +227,8 @@ def analysis_in_pieces(
         earlier: what earlier windows have told.
         new: how many samples came after the last of these; None: all of the stretch.
         lag_s: of the current sensor, as it was found; 0: none was.
+        measured_rad_s: shape (k + 1,): readings of the speed, where the stretch holds that of the
+            whole motor; else None.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -256,6 +263,8 @@ def analysis_in_pieces(
         **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
         **voltage_variances(run),
     }
+    if measured_rad_s is not None:
+        window |= speed_amounts(white_box, theta, run, projection, measured_rad_s)
     yield 0
     count = residual.size
     new_count = count if new is None else new
@@ -279,6 +288,7 @@ def analysis_in_pieces(
         shifts_behind_lag(white_box, run, theta, lag_s),
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
         shown_steps(white_box, theta, evidence),
+        shown_by_speed(white_box, evidence),
         *(
             projection.open_shift(doubt, noise_a, is_white=is_white)
             for doubt in (

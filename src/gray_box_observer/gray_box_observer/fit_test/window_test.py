@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes import measured_speed
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -105,6 +106,8 @@ class MotorUnderTest:
         content: its newest samples, also those that are learnt from no more, shape (signal, 1, n).
         stored_count: samples that are there.
         remembered_count: those of them that are learnt from.
+        measured_rad_s: shape (n,): readings of the speed, where the samples hold that of the whole
+            motor; else None.
     """
 
     estimate: Estimate
@@ -117,6 +120,7 @@ class MotorUnderTest:
     content: Array
     stored_count: int
     remembered_count: int
+    measured_rad_s: Array | None
 
     @classmethod
     def view(
@@ -140,6 +144,7 @@ class MotorUnderTest:
         replay = nodes.replay
         # also after a restart: a checkpoint holds no more
         stored_count = min(replay.stored(motor), replay.capacity)
+        count = min(stored_count, WINDOW)
         return cls(
             estimate,
             delay,
@@ -148,9 +153,10 @@ class MotorUnderTest:
             replay.begin_of(motor),
             nodes.present_since(motor),
             nodes.is_drifting(motor),
-            replay.newest(min(stored_count, WINDOW), one),
+            replay.newest(count, one),
             stored_count,
             int(replay.remembered(one)[0]),
+            measured_speed(nodes, count),
         )
 
     def snapshot(self) -> MotorUnderTest:
@@ -186,6 +192,11 @@ class MotorUnderTest:
     def newest(self, count: int) -> Array:
         """Return its newest samples, shape (signal, 1, n)."""
         return self.content[:, :, self.content.shape[2] - count :]
+
+    def newest_measured(self, count: int) -> Array | None:
+        """Return the readings of its speed at these, shape (n,)."""
+        readings = self.measured_rad_s
+        return None if readings is None else readings[readings.size - count :]
 
 
 @dataclass(frozen=True)
@@ -291,6 +302,7 @@ class WindowTest:
                 motor.evidence,
                 motor.new_samples,
                 0.0 if lag is None else lag.lag_s,
+                motor.newest_measured(count),
             )
         )
         yield count

@@ -173,6 +173,22 @@ class MeasuredSpeedUpdate:
     def replay(self, replay: ReplayBuffer) -> None:
         raise AttributeError('the samples are those of the rule that is believed')
 
+    def measured_speed(self, count: int) -> Array | None:
+        """Return readings of the speed at the newest samples of :attr:`replay`, shape (count,).
+
+        Where they are remembered no more, the speed of the whole motor. None where that is not
+        believed: the samples hold the readings.
+        """
+        if not self._is_noisy:
+            return None
+        speed: Array = self._samples.newest(count)[SPEED, 0].copy()
+        raw = self._outputs.replay
+        later_count = raw.received_of(0) - self._samples.received_of(0)
+        raw_count = min(later_count + count, raw.stored(0))
+        readings = raw.newest(raw_count)[SPEED, 0, : max(raw_count - later_count, 0)]
+        speed[count - readings.size :] = readings
+        return speed
+
     @property
     def theta(self) -> Array:
         """Present values, shape (1, parameter)."""
@@ -456,3 +472,15 @@ def published_known_parts(nodes: ContextUpdate, white_box: MotorWhiteBox) -> Arr
     if isinstance(nodes, MeasuredSpeedUpdate):
         return nodes.published_mechanics.known_parts
     return white_box.known_parts
+
+
+def measured_speed(nodes: ContextUpdate, count: int) -> Array | None:
+    """Return readings of the speed at the newest samples of a rule, shape (count,).
+
+    None where the samples themselves hold them, or there are none.
+
+    Args:
+        nodes: the rule that has learnt one motor, perhaps with others.
+        count: how many samples.
+    """
+    return nodes.measured_speed(count) if isinstance(nodes, MeasuredSpeedUpdate) else None
