@@ -448,6 +448,26 @@ def test_a_parameter_that_is_truly_zero_is_negligible() -> None:
     assert estimate.verdicts[0][2] is Verdict.NEGLIGIBLE
 
 
+@pytest.mark.parametrize('later_count', [0, 300])
+def test_the_readings_are_kept_beside_the_speed_that_is_believed(later_count: int) -> None:
+    samples = readings('noisy')
+    update = learnt(samples[: 1100 + later_count])
+    place = int(update.replay.received[0])
+    assert update.is_noisy and place <= 1100 + later_count
+    count = update.replay.stored(0)
+    expected = [float(sample.speed_rad_s[0]) for sample in samples[place - count : place]]
+    assert update.measured_speed(count).tolist() == expected
+    assert update.measured_speed(count).tolist() != update.replay.newest(count)[3, 0].tolist()
+    plain, arrays = update.state()
+    other = rule()
+    other.restore(plain, {name: array.copy() for name, array in arrays.items()})
+    assert other.measured_speed(count).tolist() == expected
+
+
+def test_a_speed_that_is_exact_has_no_readings_beside_it() -> None:
+    assert learnt(readings('exact', 1.0)).measured_speed(100) is None
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('cut', [100, 900, 2900])
 def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
