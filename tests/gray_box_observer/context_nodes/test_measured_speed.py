@@ -448,6 +448,48 @@ def test_a_parameter_that_is_truly_zero_is_negligible() -> None:
     assert estimate.verdicts[0][2] is Verdict.NEGLIGIBLE
 
 
+def test_it_is_asked_with_the_first_samples_whether_the_speed_is_late() -> None:
+    samples = readings('late')
+    update = learnt(samples[:120])
+    assert not update.is_asked
+    learnt(samples[120:700], update)
+    assert update.is_asked and update.is_noisy
+    assert np.abs(update.theta[0] / TRUTH - 1.0).max() < 0.02
+
+
+def test_a_speed_that_stands_still_is_no_question() -> None:
+    still = tuple(sample._replace(speed_rad_s=np.zeros(1)) for sample in readings('exact', 1.0))
+    assert learnt(still[:200]).is_asked
+
+
+def test_what_explains_few_samples_only_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: Any) -> Any:
+        yield 1
+
+    monkeypatch.setattr(output_update, 'fit_outputs', nothing)
+    samples = readings('late')
+    update = learnt(samples[:500])
+    assert update.state()[0]['measured_speed']['failures'] > 0
+    assert not update.is_asked
+    assert learnt(samples[500:1500], update).is_asked
+
+
+def test_nothing_is_identified_before_it_was_asked() -> None:
+    samples = readings('late', 1.0)
+    estimate, _ = observed(list(samples[:120]))
+    assert Verdict.IDENTIFIED not in estimate.verdicts[0]
+    estimate, _ = observed(list(samples))
+    assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+def test_a_state_of_an_early_release_was_asked() -> None:
+    plain, arrays = learnt(readings('late')[:50]).state()
+    del plain['measured_speed']['asked']
+    update = rule()
+    update.restore(plain, arrays)
+    assert update.is_asked
+
+
 @pytest.mark.parametrize('later_count', [0, 300])
 def test_the_readings_are_kept_beside_the_speed_that_is_believed(later_count: int) -> None:
     samples = readings('noisy')
@@ -456,16 +498,16 @@ def test_the_readings_are_kept_beside_the_speed_that_is_believed(later_count: in
     assert update.is_noisy and place <= 1100 + later_count
     count = update.replay.stored(0)
     expected = [float(sample.speed_rad_s[0]) for sample in samples[place - count : place]]
-    assert update.measured_speed(count).tolist() == expected
-    assert update.measured_speed(count).tolist() != update.replay.newest(count)[3, 0].tolist()
+    assert update.speed_readings(count).tolist() == expected
+    assert update.speed_readings(count).tolist() != update.replay.newest(count)[3, 0].tolist()
     plain, arrays = update.state()
     other = rule()
     other.restore(plain, {name: array.copy() for name, array in arrays.items()})
-    assert other.measured_speed(count).tolist() == expected
+    assert other.speed_readings(count).tolist() == expected
 
 
 def test_a_speed_that_is_exact_has_no_readings_beside_it() -> None:
-    assert learnt(readings('exact', 1.0)).measured_speed(100) is None
+    assert learnt(readings('exact', 1.0)).speed_readings(100) is None
 
 
 @pytest.mark.slow

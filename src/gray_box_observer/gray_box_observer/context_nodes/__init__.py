@@ -5,8 +5,8 @@ from gray_box_observer.context_nodes.gradient import GradientSettings, GradientU
 from gray_box_observer.context_nodes.measured_speed.measured_speed_update import (
     MeasuredSpeedUpdate,
     can_be_output,
-    measured_speed,
     published_known_parts,
+    speed_readings,
 )
 from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
@@ -27,6 +27,6 @@ __all__ = [
     'Verdict',
     'VerdictSettings',
     'can_be_output',
-    'measured_speed',
     'published_known_parts',
+    'speed_readings',
 ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import measured_speed
+from gray_box_observer.context_nodes import speed_readings
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -156,7 +156,7 @@ class MotorUnderTest:
             replay.newest(count, one),
             stored_count,
             int(replay.remembered(one)[0]),
-            measured_speed(nodes, count),
+            speed_readings(nodes, count),
         )
 
     def snapshot(self) -> MotorUnderTest:

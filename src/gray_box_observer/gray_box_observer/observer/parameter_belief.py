@@ -19,7 +19,7 @@ from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
     published_known_parts,
 )
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict, unsettled
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
@@ -99,6 +99,8 @@ class ParameterBelief:
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
+        if isinstance(nodes, MeasuredSpeedUpdate) and not nodes.is_asked:
+            estimate = replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
         if not self._has_known_parts:
             return estimate
         return self._signed(estimate.with_known_parts(self._known_parts), motors)

@@ -71,6 +71,11 @@ FULL = 1024
 twice as many, and for twice as many again each time, up to RAREST. Nor is it asked for as long as
 the search has taken, after the next failure for twice as long, and so on."""
 
+FEWEST_ASKED, LONGEST_ASKED = 512, 1024
+"""Samples from which it is an answer, too, that the whole motor does not explain them, or that
+their voltage was held: of fewer the next fit may explain more. And samples after which an answer is
+awaited no more."""
+
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up; one, where it was
 believed for less than FULL samples."""
@@ -140,6 +145,7 @@ class MeasuredSpeedUpdate:
         self._shares = np.zeros((2, len(white_box.context_nodes)))
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
+        self._is_asked = False  # whether noise or lag of the speed were asked for, with an answer
         self._failures = 0
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
@@ -149,6 +155,11 @@ class MeasuredSpeedUpdate:
     def is_noisy(self) -> bool:
         """Whether the measured speed is taken for an output with noise and lag."""
         return self._is_noisy
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether it was asked if the speed is noisy or late, and that was answered in time."""
+        return self._is_asked or self._outputs.replay.received_of(0) >= LONGEST_ASKED
 
     @property
     def _is_unexplained(self) -> bool:
@@ -173,7 +184,7 @@ class MeasuredSpeedUpdate:
     def replay(self, replay: ReplayBuffer) -> None:
         raise AttributeError('the samples are those of the rule that is believed')
 
-    def measured_speed(self, count: int) -> Array | None:
+    def speed_readings(self, count: int) -> Array | None:
         """Return readings of the speed at the newest samples of :attr:`replay`, shape (count,).
 
         Where they are remembered no more, the speed of the whole motor. None where that is not
@@ -337,6 +348,8 @@ class MeasuredSpeedUpdate:
         if self._is_noisy or self._is_worth_asking(self._outputs.unfitted):
             self._outputs.begin_fit()
         else:
+            place = int(self._outputs.replay.received[0])
+            self._is_asked |= place >= min(self._rest_until, FEWEST_ASKED)
             self._outputs.postpone()
 
     def _has_fitted(self, go_on: Callable[[], bool | None]) -> bool:
@@ -345,12 +358,15 @@ class MeasuredSpeedUpdate:
         missed_count = self._outputs.windows_without_fit
         has_changed = go_on()
         is_missed = self._outputs.windows_without_fit > missed_count
-        if fit_window is None or not (
-            has_changed or is_missed
-        ):  # a voltage that is held tells nothing
+        if fit_window is None or self._outputs.fitting is not None:
+            return False
+        now = int(self._outputs.replay.received[0])
+        self._is_asked |= now >= FEWEST_ASKED
+        if not (has_changed or is_missed):  # a voltage that is held tells nothing
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
+        self._is_asked |= fit is not None and fit.explains
         if fit is None or not (fit.explains or self._comparison.is_nearly_late(fit)):
             self._failures += 1
             self.published_mechanics.note_failure()
@@ -361,7 +377,6 @@ class MeasuredSpeedUpdate:
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
             self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
             count = samples.shape[1]
-            now = int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
             rest = max(rest, 2 * self._failures * (now - place))
             self._rest_until = now + min(rest, RAREST)
@@ -411,6 +426,7 @@ class MeasuredSpeedUpdate:
         newest_place = int(self._outputs.replay.received[0])
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
+            'asked': self._is_asked,
             'failures': self._failures,
             **mechanics,
             'evidence': float(np.clip(self._comparison.evidence, -LARGEST, LARGEST)),
@@ -452,6 +468,7 @@ class MeasuredSpeedUpdate:
         self._rest_until = newest_place + whole(own, 'rest_until', -MOST, RAREST)
         self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
+        self._is_asked = 'asked' not in own or flag(own, 'asked')  # not in files of early releases
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)
@@ -474,7 +491,7 @@ def published_known_parts(nodes: ContextUpdate, white_box: MotorWhiteBox) -> Arr
     return white_box.known_parts
 
 
-def measured_speed(nodes: ContextUpdate, count: int) -> Array | None:
+def speed_readings(nodes: ContextUpdate, count: int) -> Array | None:
     """Return readings of the speed at the newest samples of a rule, shape (count,).
 
     None where the samples themselves hold them, or there are none.
@@ -483,4 +500,4 @@ def measured_speed(nodes: ContextUpdate, count: int) -> Array | None:
         nodes: the rule that has learnt one motor, perhaps with others.
         count: how many samples.
     """
-    return nodes.measured_speed(count) if isinstance(nodes, MeasuredSpeedUpdate) else None
+    return nodes.speed_readings(count) if isinstance(nodes, MeasuredSpeedUpdate) else None
