@@ -8,8 +8,9 @@ from linear_motor_records import INTERVAL_S, Floats, Record, steps
 from scipy.linalg import expm
 
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
-from gray_box_observer.fit_test.late_speed import lag_of_speed, late_speed_doubts
+from gray_box_observer.fit_test.late_speed import lag_of_speed, late_speed_doubts, likely_shift
 from gray_box_observer.fit_test.least_squares import LEAST_SQUARES
+from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -116,3 +117,54 @@ def test_a_speed_that_does_not_move_tells_no_lag(speed_rad_s: float) -> None:
     voltage_v, current_a, _ = _motion(400)
     free = _run_freely(np.full(400, speed_rad_s), voltage_v, current_a[::FINE])
     assert late_speed_doubts(WHITE_BOX, free, THETA) == []
+
+
+L_AND_R = MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}, speed_measured=True)
+
+
+def _content(samples: int, lag: float, noise_rad_s: float = 0.0) -> Floats:
+    """Samples as a replay buffer gives them, of a speed so many intervals late."""
+    voltage_v, current_a, speed_rad_s = _motion(samples)
+    noise = noise_rad_s * np.random.default_rng(3).normal(size=samples)
+    interval_s = np.full(samples, INTERVAL_S)
+    interval_s[0] = 0.0
+    before_v = np.concatenate([voltage_v[:1], voltage_v[:-1]])
+    signals = (interval_s, before_v, KT * current_a[::FINE], _late(speed_rad_s, lag) + noise)
+    return np.stack(signals)[:, None]
+
+
+def _shift_of_lag(samples: int, lag: float) -> Floats:
+    """By how much a lag moves the logarithms: the step of a fit from the true values."""
+    run = _run_freely(_content(samples, lag)[3, 0], *_inputs(samples), L_AND_R)
+    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    return projection.shift(projection.residual)
+
+
+def _inputs(samples: int) -> tuple[Floats, Floats]:
+    voltage_v, current_a, _ = _motion(samples)
+    return voltage_v, current_a[::FINE]
+
+
+def test_of_few_samples_a_lag_of_one_interval_is_likely() -> None:
+    shift = likely_shift(L_AND_R, THETA[None, :2], _content(20, 0.0))
+    assert shift[1] == pytest.approx(_shift_of_lag(20, 1.0)[1], rel=0.3)
+
+
+@pytest.mark.parametrize('lag', [0.5, 2.0])
+def test_what_is_likely_of_a_late_speed_contains_what_its_lag_does(lag: float) -> None:
+    content = _content(200, lag, noise_rad_s=0.3)
+    shift = likely_shift(L_AND_R, THETA[None, :2], content)
+    true = _shift_of_lag(200, lag)
+    assert abs(true[1]) > 0.01
+    assert 0.3 < abs(shift[1]) / abs(true[1]) < 2.0
+
+
+def test_a_speed_that_is_seen_to_be_in_time_leaves_little_open() -> None:
+    shift = likely_shift(L_AND_R, THETA[None, :2], _content(100, 0.0))
+    assert abs(shift[1]) < 0.2 * abs(_shift_of_lag(100, 1.0)[1])
+
+
+def test_a_shaft_that_stands_still_leaves_nothing_open() -> None:
+    content = _content(100, 0.0)
+    content[3] = 0.0
+    assert not likely_shift(L_AND_R, THETA[None, :2], content).any()

@@ -12,9 +12,17 @@ import math
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import interval_means
-from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Doubt, long_run_covariance
+from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.projection import (
+    UNKNOWN,
+    Amount,
+    Doubt,
+    Projection,
+    long_run_covariance,
+)
+from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -27,6 +35,10 @@ UNEXPLAINED = 0.05
 
 FEWEST = 50
 """Intervals in which the shaft turns, from which they tell something."""
+
+LIKELY, FEWEST_LIKELY = 1.0, 24
+"""Standard deviation in sample intervals of a lag before anything is known of it, and intervals in
+which the shaft turns from which they tell more."""
 
 EXPONENTIAL = 1e-3
 """Time constants L/R in an interval below which a current is a straight line in it."""
@@ -47,12 +59,32 @@ def late_speed_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[D
     if not lag.mean > SHOWN_STDS * lag.std:
         return []
     size = math.hypot(lag.size, UNEXPLAINED)
+    return [Doubt(_response(white_box, theta, run, size))]
+
+
+def likely_shift(white_box: MotorWhiteBox, theta: Array, content: Array) -> Array:
+    """Return by how much a likely lag moves the logarithms of the parameters, shape (parameter,).
+
+    Args:
+        white_box: of one motor whose speed is measured.
+        theta: shape (1, parameter): its present values.
+        content: shape (signal, 1, n): samples, as a replay buffer gives them.
+    """
+    run = free_run(white_box, to_coordinates(theta), SampleWindow.of_content(white_box, content))
+    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    size = lag_of_speed(run, FEWEST_LIKELY).likely(LIKELY).size
+    return projection.shift(projection.with_weight(_response(white_box, theta[0], run, size)))
+
+
+def _response(white_box: MotorWhiteBox, theta: Array, run: FreeRun, lag: float) -> Array:
+    """Return how the current answers a lag of the speed in sample intervals, shape (k + 1,)."""
     change = np.where(run.is_whole, np.diff(run.stretch.speed_rad_s[0]), 0.0)
-    back_emf_v = white_box.values(theta)['back_emf_constant'] * size * change
-    return [Doubt(run.response(-back_emf_v[None])[0])]
+    back_emf_v = white_box.values(theta)['back_emf_constant'] * lag * change
+    response_a: Array = run.response(-back_emf_v[None])[0]
+    return response_a
 
 
-def lag_of_speed(run: FreeRun) -> Amount:
+def lag_of_speed(run: FreeRun, fewest: int = FEWEST) -> Amount:
     """Return by how many sample intervals the speed comes after its current.
 
     Its change is regressed on the mean current of its interval and the change of that from the
@@ -65,7 +97,7 @@ def lag_of_speed(run: FreeRun) -> Amount:
     turns = run.is_whole & (speed[1:] != 0.0) & (speed[:-1] != 0.0)
     turns[1:] &= run.is_whole[:-1]
     turns[0] = False
-    if np.count_nonzero(turns) < FEWEST:
+    if np.count_nonzero(turns) < fewest:
         return UNKNOWN
     interval_s = run.stretch.interval_s[0]
     columns = np.stack(

@@ -19,12 +19,13 @@ from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
     published_known_parts,
 )
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict, unsettled
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.observer.lag_doubt import widened_by_lag
 from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
@@ -64,6 +65,7 @@ class ParameterBelief:
         self.known_flags = np.zeros((motors, len(parameters)), dtype=bool)
         self.theta: Array = nodes.theta
         self.covariance: Array = np.zeros((motors, electrical, electrical))
+        self._white_box = form.white_box
         self._fit = form.fit
         self._scales = form.scales
         self.level: LevelDoubt | None = None
@@ -100,7 +102,7 @@ class ParameterBelief:
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
         if isinstance(nodes, MeasuredSpeedUpdate) and not nodes.is_asked:
-            estimate = replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
+            estimate = widened_by_lag(self._white_box, nodes, estimate)
         if not self._has_known_parts:
             return estimate
         return self._signed(estimate.with_known_parts(self._known_parts), motors)
