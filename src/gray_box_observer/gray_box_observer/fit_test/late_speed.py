@@ -72,8 +72,11 @@ def likely_shift(white_box: MotorWhiteBox, theta: Array, content: Array) -> Arra
     """
     run = free_run(white_box, to_coordinates(theta), SampleWindow.of_content(white_box, content))
     projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
-    size = lag_of_speed(run, FEWEST_LIKELY).likely(LIKELY).size
-    return projection.shift(projection.with_weight(_response(white_box, theta[0], run, size)))
+    lag = lag_of_speed(run, FEWEST_LIKELY)
+    if lag.mean < -UNEXPLAINED:  # no speed comes early: a transient or two tell nothing
+        lag = UNKNOWN
+    response_a = _response(white_box, theta[0], run, lag.likely(LIKELY).size)
+    return projection.shift(projection.with_weight(response_a))
 
 
 def _response(white_box: MotorWhiteBox, theta: Array, run: FreeRun, lag: float) -> Array:
