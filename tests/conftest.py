@@ -78,10 +78,11 @@ LIVE_MODULES = ('rclpy', 'subprocess', 'multiprocessing')
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what starts nodes or processes, and repeat what the machine may have spoilt.
 
-    A test on real DDS runs once more where its process died in the middleware (Fast DDS has died
-    of a segmentation fault while a participant was being deleted), and where it waited in vain: a
-    machine that stands still for longer than a queue lasts loses messages. The run tells of both
-    (``rerun``). What is found wrong fails at once, and what fails twice fails.
+    A test on real DDS runs once more where the process of the test itself died in the middleware
+    (Fast DDS has died of a segmentation fault while a participant was being deleted), and where it
+    waited in vain: a machine that stands still for longer than a queue lasts loses messages. The
+    run tells of both (``rerun``). What is found wrong, or a node that crashed, fails at once, and
+    what fails twice fails.
     """
     repeats = config.pluginmanager.hasplugin('rerunfailures')
     for item in items:

@@ -32,8 +32,10 @@ from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.csv_import.column_expressions import Expression
+from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.expressions.formula import Formula
+from gray_box_observer.fit_test.window_test import MotorUnderTest
 from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
@@ -457,9 +459,19 @@ def test_it_is_asked_with_the_first_samples_whether_the_speed_is_late() -> None:
     assert np.abs(update.theta[0] / TRUTH - 1.0).max() < 0.02
 
 
-def test_a_speed_that_stands_still_is_no_question() -> None:
-    still = tuple(sample._replace(speed_rad_s=np.zeros(1)) for sample in readings('exact', 1.0))
-    assert learnt(still[:200]).is_asked
+def test_a_shaft_that_rests_at_first_leaves_the_question_open() -> None:
+    resting = tuple(
+        sample._replace(speed_rad_s=np.zeros(1), voltage_v=np.zeros(1), torque_nm=np.zeros(1))
+        for sample in readings('late', 1.0)
+    )
+    update = learnt(resting)
+    assert not update.is_asked
+    begin_ns = resting[-1].stamp_ns + 1_000_000
+    moving = [one._replace(stamp_ns=one.stamp_ns + begin_ns) for one in readings('late')[:600]]
+    assert not learnt(tuple(moving), update).is_asked  # its fit is under way
+    estimate, _ = observed([*resting, *moving])
+    assert abs(estimate.value[0, 1] / TRUTH[1] - 1.0) > 0.02
+    assert Verdict.IDENTIFIED not in estimate.verdicts[0]
 
 
 def test_what_explains_few_samples_only_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -482,12 +494,26 @@ def test_nothing_is_identified_before_it_was_asked() -> None:
     assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
 
 
-def test_a_state_of_an_early_release_was_asked() -> None:
-    plain, arrays = learnt(readings('late')[:50]).state()
+@pytest.mark.parametrize(('count', 'is_asked'), [(50, False), (1100, True)])
+def test_a_state_of_an_early_release_was_asked_where_the_speed_is_doubted(
+    count: int, is_asked: bool
+) -> None:
+    plain, arrays = learnt(readings('late')[:count]).state()
     del plain['measured_speed']['asked']
     update = rule()
     update.restore(plain, arrays)
-    assert update.is_asked
+    assert update.is_asked == update.is_noisy == is_asked
+
+
+def test_a_test_of_the_fit_gets_the_readings_of_its_window() -> None:
+    update = learnt(readings('noisy')[:1300])
+    delay = DelayEstimate(0.0, False)
+    motor = MotorUnderTest.view(update, update.estimate(), 0, delay, None).snapshot()
+    place = int(update.replay.received[0])
+    expected = [float(sample.speed_rad_s[0]) for sample in readings('noisy')[place - 100 : place]]
+    found = motor.newest_measured(100)
+    assert found is not None and found.tolist() == expected
+    assert motor.newest(100)[3, 0].tolist() != expected
 
 
 @pytest.mark.parametrize('later_count', [0, 300])

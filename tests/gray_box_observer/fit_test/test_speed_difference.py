@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_motor_records import Floats
+from scipy.signal import lfilter
 from turning_motor_records import SAMPLES, true_coordinates, turning_motor, white_box
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -123,3 +124,43 @@ def test_few_samples_tell_nothing() -> None:
     run = free_run(BOX, P, few)
     projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
     assert speed_amounts(BOX, THETA, run, projection, SPEED[:40]) == {}
+
+
+@pytest.mark.parametrize('memory', [0.8, 0.95])
+def test_noise_with_a_memory_is_within_its_deviations_too(memory: float) -> None:
+    z = []
+    for seed in range(40):
+        white = np.random.default_rng([seed, 7]).normal(size=SAMPLES)
+        noise = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], white)
+        found = _found(_modelled(np.zeros(SAMPLES)), SPEED + noise)
+        z += [one.mean / one.std for one in found]
+    assert np.sqrt(np.mean(np.square(z))) < 1.4
+    assert np.abs(z).max() < 4.0
+
+
+@pytest.mark.parametrize('late', [2, 15])
+def test_a_late_speed_with_gaps_moves_nothing(late: int) -> None:
+    """What is late is so by samples that a gap has swallowed: both sides have nothing in common."""
+    kept = np.r_[0:900, 1400:SAMPLES]
+    restart = np.zeros((1, kept.size - 1), dtype=bool)
+    restart[0, 899] = True
+    cut = SampleWindow(
+        MOTOR.state[:, kept],
+        MOTOR.voltage_v[:, kept[:-1]],
+        MOTOR.interval_s[:, : kept.size - 1],
+        MOTOR.speed_rad_s[:, kept],
+        restart,
+    )
+    z = []
+    for seed in range(20):
+        noise_a = 1e-3 * np.random.default_rng(seed).normal(size=(1, kept.size))
+        stretch = replace(cut, state=cut.state + noise_a)
+        z += [one.mean / one.std for one in _found(stretch, _readings(seed, late)[kept])]
+    assert np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_where_the_readings_are_believed_again_nothing_is_left_of_it() -> None:
+    earlier = Evidence({NAMES[0]: Amount(0.04, 0.001)}, 2000)
+    analysis = analyse(BOX, P, _modelled(np.zeros(SAMPLES)), earlier=earlier)
+    assert NAMES[0] not in analysis.evidence.amounts
+    assert np.abs(analysis.open_shifts[:, 0]).max() < 0.01

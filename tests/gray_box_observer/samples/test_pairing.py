@@ -429,3 +429,11 @@ def test_torque_is_refused_where_no_voltage_comes_for_five_seconds() -> None:
     assert feed(pairing, [('t', at, 0.1) for at in range(0, 6000, 10)]) == []
     assert pairing.waiting_count <= 26
     assert pairing.rejected == {Rejection.NO_VOLTAGE: 600 - pairing.waiting_count}
+
+
+def test_a_speed_that_never_comes_is_waited_for_once() -> None:
+    pairing = Pairing(own_speed=True)
+    feed(pairing, [(kind, at, 1.0) for at in range(0, 6000, 10) for kind in 'vt'])
+    assert pairing.waiting_count <= 26
+    feed(pairing, [(kind, at, 1.0) for at in range(6000, 9000, 10) for kind in 'vt'])
+    assert pairing.waiting_count <= 26

@@ -44,7 +44,7 @@ from gray_box_observer.fit_test.projection import (
 )
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.rounding import rounding_errors
-from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts
+from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
     StampError,
     stamp_amounts,
@@ -263,7 +263,9 @@ def analysis_in_pieces(
         **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
         **voltage_variances(run),
     }
-    if measured_rad_s is not None:
+    if measured_rad_s is None:
+        earlier = without_speed(earlier)
+    else:
         window |= speed_amounts(white_box, theta, run, projection, measured_rad_s)
     yield 0
     count = residual.size

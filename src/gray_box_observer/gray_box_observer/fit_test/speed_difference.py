@@ -14,22 +14,32 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.projection import Amount, Projection, long_run_covariance
+from gray_box_observer.fit_test.projection import (
+    Amount,
+    Projection,
+    bandwidth,
+    long_run_covariance,
+)
 from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 PREFIX = 'speed_difference_'
 """Before a parameter's name: the amount by which its logarithm is off."""
 
-SHOWN_STDS = 3.0
+SHOWN_STDS = 2.5
 """Standard deviations from which it is off."""
 
 MOST_LATE = 16
 """Samples by which a measured speed may be late or early."""
+
+OUTLIER = 4.0
+"""Standard deviations beyond which a difference is no noise."""
 
 FEWEST = 64
 """Samples from which that is asked."""
@@ -49,8 +59,10 @@ def speed_amounts(
     """
     assert isinstance(white_box, MotorWhiteBox)
     back_emf_constant = white_box.values(theta).get('back_emf_constant', 0.0)
-    difference = _difference(run.stretch.speed_rad_s[0], measured_rad_s)
-    if difference.size < FEWEST or not difference.any():
+    if measured_rad_s.size < FEWEST:
+        return {}
+    difference = _difference(run, measured_rad_s)
+    if not difference.any():
         return {}
     by_voltage = _influence_of_voltages(run, projection)
     by_mean_speed = -back_emf_constant * by_voltage
@@ -60,10 +72,10 @@ def speed_amounts(
     products = influence * difference
     if not np.isfinite(products).all():  # of an absurd motor
         return {}
-    stds = np.linalg.norm(products, axis=1)  # a wild reading weighs as much there
+    variances = np.maximum((products**2).sum(axis=1), _variances(influence, difference))
     if float(quantisation_step(measured_rad_s[None])[0]) > 0.0:  # errors that follow the speed
-        covariance = long_run_covariance(products.T)
-        stds = np.maximum(stds, np.sqrt(np.maximum(np.diagonal(covariance), 0.0)))
+        variances = np.maximum(variances, np.diagonal(long_run_covariance(products.T)))
+    stds = np.sqrt(variances)
     return {
         f'{PREFIX}{parameter.name}': Amount(float(total), float(std))
         for parameter, total, std in zip(
@@ -84,24 +96,65 @@ def _shown(amounts: Mapping[str, Amount], name: str) -> float:
     return amount.mean
 
 
-def _difference(speed_rad_s: Array, measured_rad_s: Array) -> Array:
-    """Return measured less modelled speed, shape (n,), without what a lag leaves of it.
+def without_speed(evidence: Evidence) -> Evidence:
+    """Return evidence without these amounts: the measured speed is the one that is believed."""
+    return evidence.without([name for name in evidence.amounts if name.startswith(PREFIX)])
+
+
+def _variances(influence: Array, difference: Array) -> Array:
+    """Return the variances of the sums, shape (parameter,), for noise with a memory.
+
+    Args:
+        influence: shape (parameter, n): what one rad/s does.
+        difference: shape (n,): noise, whose outliers are cut here.
+    """
+    size = difference.size
+    most = OUTLIER * MAD_TO_STD * float(median(np.abs(difference)))
+    noise = np.clip(difference, -most, most)
+    width = bandwidth(size)
+    result = np.zeros(influence.shape[0])
+    for lag in range(width + 1):
+        memory = float(noise[lag:] @ noise[: size - lag]) / size
+        weight = (1.0 if lag == 0 else 2.0) * (1.0 - lag / (width + 1.0))
+        both = (influence[:, lag:] * influence[:, : size - lag]).sum(axis=1)
+        result += weight * memory * both
+    return np.maximum(result, 0.0)
+
+
+def _difference(run: FreeRun, measured_rad_s: Array) -> Array:
+    """Return measured less modelled speed, shape (k + 1,), without what a lag leaves of it.
 
     The readings are shifted by whole samples. What is left of a lag goes with the acceleration.
+    Where a signal history begins between two samples, they are not compared.
     """
-    size = speed_rad_s.size
+    model = run.stretch.speed_rad_s[0]
+    size = model.size
     reach = min(MOST_LATE, size // 4)
-    span = slice(reach, size - reach)
-    if size < FEWEST:
-        return np.zeros(0)
-    model = speed_rad_s[span]
-    rests = [measured_rad_s[reach + late :][: model.size] - model for late in _near(reach)]
-    rest = min(rests, key=lambda one: float(np.abs(one).sum()))
-    change = speed_rad_s[reach + 1 :][: model.size] - speed_rad_s[reach - 1 :][: model.size]
+    history = np.concatenate([[0], np.cumsum(run.stretch.restart[0])])
+    place = np.arange(reach, size - reach)
+    is_one = history[place - 1] == history[place + 1]
+    change = np.where(is_one, model[place + 1] - model[place - 1], 0.0)
+    rests = []
+    for late in _near(reach):
+        is_same = is_one & (history[place] == history[place + late])
+        rests.append(np.where(is_same, measured_rad_s[place + late] - model[place], np.nan))
+    sizes = [_mean_size(rest) for rest in rests]
+    rest = rests[int(np.argmin(sizes))]
+    is_known = np.isfinite(rest)
+    rest = np.where(is_known, rest, 0.0)
+    change = np.where(is_known, change, 0.0)
     power = float(change @ change)
     difference = np.zeros(size)
-    difference[span] = rest - (float(change @ rest) / power * change if power > 0.0 else 0.0)
+    if power > 0.0:
+        rest = np.where(is_known, rest - float(change @ rest) / power * change, 0.0)
+    difference[place] = rest
     return difference
+
+
+def _mean_size(rest: Array) -> float:
+    """Return the mean size of what is known; infinite where nothing is."""
+    sizes = np.abs(rest[np.isfinite(rest)])
+    return float(sizes.mean()) if sizes.size else np.inf
 
 
 def _near(reach: int) -> list[int]:

@@ -17,6 +17,7 @@ from gray_box_observer.context_nodes.estimate import unsettled
 from gray_box_observer.fit_test.late_speed import likely_shift
 from gray_box_observer.observer.scale_doubt import limited
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
 
 FEWEST = 16
 """Samples from which something can be told."""
@@ -25,25 +26,49 @@ MOST = 512
 """Newest samples that are looked at."""
 
 
-def widened_by_lag(
-    white_box: MotorWhiteBox, nodes: MeasuredSpeedUpdate, estimate: Estimate
-) -> Estimate:
-    """Return an estimate with the doubt added to covariance and verdicts.
+class LagDoubt:
+    """Widens the estimates of one motor whose speed is measured, until it was asked for.
 
     Args:
         white_box: physics of the motor.
-        nodes: the rule that has learnt it.
-        estimate: of it, perhaps with parameters of the rotor behind.
     """
-    count = min(int(nodes.replay.remembered()[0]), MOST)
-    shift = np.full(len(white_box.parameters), np.nan)
-    if count >= FEWEST:
-        with np.errstate(all='ignore'):
-            shift = likely_shift(white_box, nodes.theta, nodes.replay.newest(count))
-    if not np.isfinite(shift).all():
-        return replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
-    covariance = estimate.covariance.copy()
-    off = shift * estimate.value[0, : shift.size]
-    covariance[0, : shift.size, : shift.size] += np.outer(off, off)
-    verdicts = limited(estimate.verdicts[0], estimate.value[0], covariance[0], nodes.verdict_rules)
-    return replace(estimate, covariance=covariance, verdicts=(verdicts,))
+
+    def __init__(self, white_box: MotorWhiteBox) -> None:
+        self._white_box = white_box
+        self._place = 0  # of the newest sample of the shift that is known
+        self._theta = np.zeros((1, len(white_box.parameters)))
+        self._shift = np.full(len(white_box.parameters), np.nan)
+
+    def widened(self, nodes: MeasuredSpeedUpdate, estimate: Estimate) -> Estimate:
+        """Return an estimate with the doubt added to covariance and verdicts.
+
+        Args:
+            nodes: the rule that has learnt the motor.
+            estimate: of it, perhaps with parameters of the rotor behind.
+        """
+        if nodes.is_asked:
+            return estimate
+        shift = self._likely_shift(nodes)
+        if not np.isfinite(shift).all():
+            return replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
+        covariance = estimate.covariance.copy()
+        off = shift * estimate.value[0, : shift.size]
+        covariance[0, : shift.size, : shift.size] += np.outer(off, off)
+        verdicts = limited(
+            estimate.verdicts[0], estimate.value[0], covariance[0], nodes.verdict_rules
+        )
+        return replace(estimate, covariance=covariance, verdicts=(verdicts,))
+
+    def _likely_shift(self, nodes: MeasuredSpeedUpdate) -> Array:
+        """Return by how much a likely lag moves the logarithms, shape (parameter,)."""
+        place = nodes.replay.received_of(0)
+        if place == self._place and np.array_equal(nodes.theta, self._theta):
+            return self._shift
+        self._place = place
+        self._theta = nodes.theta.copy()
+        count = min(int(nodes.replay.remembered()[0]), MOST)
+        self._shift = np.full(self._shift.size, np.nan)
+        if count >= FEWEST:
+            with np.errstate(all='ignore'):
+                self._shift = likely_shift(self._white_box, nodes.theta, nodes.replay.newest(count))
+        return self._shift

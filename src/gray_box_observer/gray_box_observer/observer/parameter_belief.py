@@ -25,7 +25,7 @@ from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.fit_result import FitResult
-from gray_box_observer.observer.lag_doubt import widened_by_lag
+from gray_box_observer.observer.lag_doubt import LagDoubt
 from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.white_box.interface import Array
@@ -65,7 +65,7 @@ class ParameterBelief:
         self.known_flags = np.zeros((motors, len(parameters)), dtype=bool)
         self.theta: Array = nodes.theta
         self.covariance: Array = np.zeros((motors, electrical, electrical))
-        self._white_box = form.white_box
+        self._lag = LagDoubt(form.white_box)
         self._fit = form.fit
         self._scales = form.scales
         self.level: LevelDoubt | None = None
@@ -101,8 +101,8 @@ class ParameterBelief:
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
-        if isinstance(nodes, MeasuredSpeedUpdate) and not nodes.is_asked:
-            estimate = widened_by_lag(self._white_box, nodes, estimate)
+        if isinstance(nodes, MeasuredSpeedUpdate):
+            estimate = self._lag.widened(nodes, estimate)
         if not self._has_known_parts:
             return estimate
         return self._signed(estimate.with_known_parts(self._known_parts), motors)

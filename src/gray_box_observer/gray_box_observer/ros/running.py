@@ -8,6 +8,7 @@ and shows its traceback.
 from __future__ import annotations
 
 import argparse
+import atexit
 import faulthandler
 import gc
 import os
@@ -175,6 +176,23 @@ def run_node(
     Returns:
         0 after a clean end, 2 after an error the user must act on.
     """
+    atexit.unregister(_limit_end)  # once, though many nodes may run one after another
+    atexit.register(_limit_end)
+    try:
+        return _run_node(make_node, args, name, executor_factory, tells_range=tells_range)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _run_node(
+    make_node: Callable[[Stop], Node],
+    args: Sequence[str] | None,
+    name: str,
+    executor_factory: Callable[[], Any],
+    *,
+    tells_range: bool,
+) -> int:
+    """Run one node; see :func:`run_node`."""
     stop = Stop()
     kept_here = discovery.default_range(os.environ)
     os.environ.update(kept_here)
@@ -253,12 +271,15 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Any]) -> bool:
 
 
 def _limit_end() -> None:
-    """Have the process end with code 1 and its traceback where its end takes too long.
+    """Have the process end with code 1 and its traceback where this takes too long.
 
     What waits for that is a thread that needs nothing of Python.
     """
-    with suppress(RuntimeError, ValueError, OSError):  # there is no stderr
+    try:
         faulthandler.dump_traceback_later(_GIVE_UP_S, exit=True)
+    except (RuntimeError, ValueError, OSError):  # there is no stderr
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        faulthandler.dump_traceback_later(_GIVE_UP_S, exit=True, file=nowhere)
 
 
 def _take_down(node: Node) -> bool:

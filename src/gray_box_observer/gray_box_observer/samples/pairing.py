@@ -157,6 +157,7 @@ class Pairing:
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
         self._is_patient = True
+        self._awaits_first_speed = True
         self._voltages.restart()
         self._torques: deque[tuple[int, Any, Any]] = deque()
         self._speeds.restart()
@@ -336,15 +337,20 @@ class Pairing:
         """Return how far torque may run ahead of what it waits for; its newest stamp is given."""
         oldest_ns = self._torques[0][0]
         voltage_ns = self._voltages.newest_ns
-        if voltage_ns is None or (self._own_speed and self._speeds.newest_ns is None):
-            is_awaited = True  # without it torque is lost in any case
+        awaits_speed = self._own_speed and self._speeds.newest_ns is None
+        if voltage_ns is None:  # without it torque is lost in any case
+            is_awaited = self._is_patient
+        elif awaits_speed:  # so it is without that
+            is_awaited = self._awaits_first_speed
         else:
-            is_awaited = voltage_ns < oldest_ns and self._voltages.is_regular
-        if not (self._is_patient and is_awaited):
+            is_late = voltage_ns < oldest_ns and self._voltages.is_regular
+            is_awaited = self._is_patient and is_late
+        if not is_awaited:
             return self._hold_ns
         if stamp_ns - oldest_ns < self._patience_ns and len(self._torques) <= MOST_PATIENT:
             return self._patience_ns
         self._is_patient = False  # it does not come: waiting on would only be late
+        self._awaits_first_speed = not awaits_speed
         return self._hold_ns
 
     def _known_ns(self) -> int | None:

@@ -94,8 +94,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'hold_s',
         0.25,
-        'How far torque may run ahead of voltage, in s, before voltage is held; up to 5 s where it '
-        'has always come, or never yet.',
+        'How far torque may run ahead of voltage, in s, before voltage is held; up to 5 s or '
+        '1024 torques where it has always come, or never yet.',
         0.0,
         1e6,
         live=True,

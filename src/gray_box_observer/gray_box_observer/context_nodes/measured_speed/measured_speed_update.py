@@ -71,10 +71,9 @@ FULL = 1024
 twice as many, and for twice as many again each time, up to RAREST. Nor is it asked for as long as
 the search has taken, after the next failure for twice as long, and so on."""
 
-FEWEST_ASKED, LONGEST_ASKED = 512, 1024
-"""Samples from which it is an answer, too, that the whole motor does not explain them, or that
-their voltage was held: of fewer the next fit may explain more. And samples after which an answer is
-awaited no more."""
+FEWEST_ASKED = 512
+"""Samples from which it is an answer, too, that the whole motor does not explain them: of fewer the
+next fit may explain more."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up; one, where it was
@@ -158,8 +157,8 @@ class MeasuredSpeedUpdate:
 
     @property
     def is_asked(self) -> bool:
-        """Whether it was asked if the speed is noisy or late, and that was answered in time."""
-        return self._is_asked or self._outputs.replay.received_of(0) >= LONGEST_ASKED
+        """Whether it was asked if the speed is noisy or late, and that was answered."""
+        return self._is_asked
 
     @property
     def _is_unexplained(self) -> bool:
@@ -348,8 +347,6 @@ class MeasuredSpeedUpdate:
         if self._is_noisy or self._is_worth_asking(self._outputs.unfitted):
             self._outputs.begin_fit()
         else:
-            place = int(self._outputs.replay.received[0])
-            self._is_asked |= place >= min(self._rest_until, FEWEST_ASKED)
             self._outputs.postpone()
 
     def _has_fitted(self, go_on: Callable[[], bool | None]) -> bool:
@@ -360,13 +357,12 @@ class MeasuredSpeedUpdate:
         is_missed = self._outputs.windows_without_fit > missed_count
         if fit_window is None or self._outputs.fitting is not None:
             return False
-        now = int(self._outputs.replay.received[0])
-        self._is_asked |= now >= FEWEST_ASKED
         if not (has_changed or is_missed):  # a voltage that is held tells nothing
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
-        self._is_asked |= fit is not None and fit.explains
+        count = samples.shape[1]
+        self._is_asked |= count >= FEWEST_ASKED or (fit is not None and fit.explains)
         if fit is None or not (fit.explains or self._comparison.is_nearly_late(fit)):
             self._failures += 1
             self.published_mechanics.note_failure()
@@ -376,7 +372,7 @@ class MeasuredSpeedUpdate:
                 self._is_noisy = not self._comparison.is_contradicted(newest, fit)
             is_full = self._samples.stored(0) >= FULL  # few samples may mislead
             self._is_noisy &= self._failures < (MOST_FAILURES if is_full else 1)
-            count = samples.shape[1]
+            now = int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
             rest = max(rest, 2 * self._failures * (now - place))
             self._rest_until = now + min(rest, RAREST)
@@ -413,7 +409,7 @@ class MeasuredSpeedUpdate:
         residual = exact_residual(self._white_box, self._exact.theta[0], samples)
         if not whiteness(residual) < COLOURED:
             return True
-        if place < self._ask_at:
+        if place < self._ask_at and self._is_asked:
             return False
         self._ask_at = place + min(place, RAREST)
         return True
@@ -468,7 +464,7 @@ class MeasuredSpeedUpdate:
         self._rest_until = newest_place + whole(own, 'rest_until', -MOST, RAREST)
         self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
-        self._is_asked = 'asked' not in own or flag(own, 'asked')  # not in files of early releases
+        self._is_asked = flag(own, 'asked') if 'asked' in own else self._is_noisy
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)
