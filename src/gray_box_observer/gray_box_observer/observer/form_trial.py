@@ -26,7 +26,7 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind, MotorForm
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -63,10 +63,6 @@ brings nothing where there is none."""
 
 HALF = 0.5
 """Share of the residual that the other form may leave where its own test warns."""
-
-SECOND_BEST = 0.2
-"""Share of the residual that a rotor may leave which does not explain the data either. It stands in
-for Kt i then: nothing is believed of it, but it is the nearer motor, and what it lacks shows."""
 
 LATE, LATE_WORK = 384, 131072
 """Newest samples that are asked whether a noisy or late speed explains them as well, before an
@@ -186,13 +182,11 @@ class FormTrial:
         rotor, whose fit costs most, the first counts: what it does not explain tells it later.
         """
         reasons = []
-        misfits = []
         candidates = list(self._start.candidates)
         for place, kind in enumerate(candidates):
             outcome = yield from self._compare(kind)
             if outcome.form is None:
                 reasons.append(f'{kind.in_words} {outcome.reason}')
-                misfits.append(outcome)
                 continue
             for rival in candidates[place + 1 :]:
                 if rival in kind.rivals and kind.source != ROTOR:
@@ -200,8 +194,6 @@ class FormTrial:
                     outcome = min(outcome, other, key=self._doubt)
             break
         else:
-            outcome = yield from self._second_best(misfits)
-        if outcome.form is None:
             number = self._start.number
             times = f'{number} trials' if number > 1 else 'one trial'
             here = self._start.kind.in_words
@@ -231,8 +223,7 @@ class FormTrial:
             kind = fit.kind
             form = fit.form
             if fit.is_misfit:
-                why_not = self._why_not(form.fit.assessment(0), fit.estimate)
-                return TrialOutcome(None, why_not, kind, form.residual(newest, fit.settle_s))
+                return TrialOutcome(None, self._why_not(form.fit.assessment(0), fit.estimate))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')
         if kind.is_same_but_for_lag(start.kind):
@@ -261,31 +252,6 @@ class FormTrial:
             if late.fit.assessment(0).verdict in (FitVerdict.OK, FitVerdict.WARNING):
                 return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
         return self._outcome(fit, left_a, before_a)
-
-    def _second_best(self, misfits: Sequence[TrialOutcome]) -> Pieces[TrialOutcome]:
-        """Return a rotor that is far nearer to the data than Kt i, though no form explains them.
-
-        Args:
-            misfits: candidates that are not adopted, with what they leave of few samples.
-        """
-        start = self._start
-        none = TrialOutcome(None, '')
-        rotors = [one for one in misfits if one.kind is not None and one.kind.source == ROTOR]
-        best = min(rotors, key=lambda one: one.left_a, default=none)
-        if start.kind.source != THESIS or not best.left_a < SECOND_BEST * start.before_a:
-            return none
-        assert best.kind is not None
-        fit = yield from self._fitter.first(best.kind, start.content)
-        left_a = fit.form.residual(start.content, fit.settle_s)
-        if not (left_a < SECOND_BEST * start.before_a and _is_told(fit.estimate)):
-            return none
-        return TrialOutcome(
-            fit.form,
-            f'no form explains the data; {fit.kind.in_words} leaves '
-            f'{left_a / start.before_a:.2g} of the residual that {start.kind.in_words} leaves',
-            fit.kind,
-            left_a,
-        )
 
     def _compare_lag(self, fit: FormFit) -> Pieces[TrialOutcome]:
         """Return a form with another lag where its order is told, or it explains clearly more.
