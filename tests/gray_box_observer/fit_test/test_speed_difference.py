@@ -12,7 +12,7 @@ from turning_motor_records import SAMPLES, true_coordinates, turning_motor, whit
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.evidence import Evidence
-from gray_box_observer.fit_test.free_run import free_run
+from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.projection import Amount, Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.speed_difference import (
@@ -42,9 +42,13 @@ def _readings(seed: int, late: int = 0) -> Floats:
     return np.asarray(np.roll(SPEED, late) + noise)
 
 
+def _projection(run: FreeRun) -> Projection:
+    return Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+
+
 def _found(stretch: SampleWindow, readings: Floats) -> list[Amount]:
     run = free_run(BOX, P, stretch)
-    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    projection = _projection(run)
     amounts = speed_amounts(BOX, THETA, run, projection, readings)
     return [amounts[name] for name in NAMES]
 
@@ -52,7 +56,7 @@ def _found(stretch: SampleWindow, readings: Floats) -> list[Amount]:
 def _step(stretch: SampleWindow) -> Floats:
     """By how much least squares move the logarithms of the parameters from the true values."""
     run = free_run(BOX, P, stretch)
-    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    projection = _projection(run)
     return projection.shift(projection.residual)
 
 
@@ -122,7 +126,7 @@ def test_few_samples_tell_nothing() -> None:
         restart=MOTOR.restart[:, :39],
     )
     run = free_run(BOX, P, few)
-    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    projection = _projection(run)
     assert speed_amounts(BOX, THETA, run, projection, SPEED[:40]) == {}
 
 

@@ -87,6 +87,11 @@ class FreeRun:
         """Whether an interval lasts, and the run goes on through it, shape (k,)."""
         return np.asarray(~self.stretch.restart[0] & (self.stretch.interval_s[0] > 0.0))
 
+    @property
+    def gain(self) -> Array:
+        """Current in A that one volt over an interval brings to its end, shape (k,)."""
+        return np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
+
     def response(self, voltages_v: Array) -> Array:
         """Return how the run answers small further voltages.
 
@@ -96,8 +101,7 @@ class FreeRun:
         Returns:
             Shape (voltage, k + 1), in A.
         """
-        gain = np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
-        inputs = (voltages_v * gain)[:, None]
+        inputs = (voltages_v * self.gain)[:, None]
         rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
         return rows
 

@@ -10,8 +10,6 @@ All beyond that is an error of the estimate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
@@ -86,14 +84,8 @@ def speed_amounts(
 
 def shown_by_speed(white_box: WhiteBox, evidence: Evidence) -> Array:
     """Return by how much the logarithms of the parameters are clearly off, shape (1, parameter)."""
-    return np.array([[_shown(evidence.amounts, one.name) for one in white_box.parameters]])
-
-
-def _shown(amounts: Mapping[str, Amount], name: str) -> float:
-    amount = amounts.get(f'{PREFIX}{name}')
-    if amount is None or abs(amount.mean) < SHOWN_STDS * amount.std:
-        return 0.0
-    return amount.mean
+    amounts = [evidence.amount(f'{PREFIX}{one.name}') for one in white_box.parameters]
+    return np.array([[0.0 if abs(a.mean) < SHOWN_STDS * a.std else a.mean for a in amounts]])
 
 
 def without_speed(evidence: Evidence) -> Evidence:
@@ -133,21 +125,17 @@ def _difference(run: FreeRun, measured_rad_s: Array) -> Array:
     history = np.concatenate([[0], np.cumsum(run.stretch.restart[0])])
     place = np.arange(reach, size - reach)
     is_one = history[place - 1] == history[place + 1]
-    change = np.where(is_one, model[place + 1] - model[place - 1], 0.0)
     rests = []
     for late in _near(reach):
         is_same = is_one & (history[place] == history[place + late])
         rests.append(np.where(is_same, measured_rad_s[place + late] - model[place], np.nan))
-    sizes = [_mean_size(rest) for rest in rests]
-    rest = rests[int(np.argmin(sizes))]
+    rest = min(rests, key=_mean_size)
     is_known = np.isfinite(rest)
     rest = np.where(is_known, rest, 0.0)
-    change = np.where(is_known, change, 0.0)
+    change = np.where(is_known, model[place + 1] - model[place - 1], 0.0)
     power = float(change @ change)
     difference = np.zeros(size)
-    if power > 0.0:
-        rest = np.where(is_known, rest - float(change @ rest) / power * change, 0.0)
-    difference[place] = rest
+    difference[place] = rest - (float(change @ rest) / power * change if power > 0.0 else 0.0)
     return difference
 
 
@@ -166,6 +154,5 @@ def _influence_of_voltages(run: FreeRun, projection: Projection) -> Array:
     """Return by how much one volt in an interval moves the log-parameters, (parameter, k)."""
     influence = projection.influence()
     later = recurrence(run.decay[None, ::-1], influence[:, None, -2::-1], influence[:, None, -1])
-    gain = np.where(run.stretch.restart[0], 0.0, run.reach_s / run.inductance_h)
-    result: Array = gain * later[:, 0, ::-1][:, 1:]
+    result: Array = run.gain * later[:, 0, ::-1][:, 1:]
     return result

@@ -15,7 +15,7 @@ import numpy as np
 from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate
 from gray_box_observer.context_nodes.estimate import unsettled
 from gray_box_observer.fit_test.late_speed import likely_shift
-from gray_box_observer.observer.scale_doubt import limited
+from gray_box_observer.observer.scale_doubt import with_doubt
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -51,13 +51,8 @@ class LagDoubt:
         shift = self._likely_shift(nodes)
         if not np.isfinite(shift).all():
             return replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
-        covariance = estimate.covariance.copy()
         off = shift * estimate.value[0, : shift.size]
-        covariance[0, : shift.size, : shift.size] += np.outer(off, off)
-        verdicts = limited(
-            estimate.verdicts[0], estimate.value[0], covariance[0], nodes.verdict_rules
-        )
-        return replace(estimate, covariance=covariance, verdicts=(verdicts,))
+        return with_doubt(estimate, np.outer(off, off), nodes.verdict_rules)
 
     def _likely_shift(self, nodes: MeasuredSpeedUpdate) -> Array:
         """Return by how much a likely lag moves the logarithms, shape (parameter,)."""

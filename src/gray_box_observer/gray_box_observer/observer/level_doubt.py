@@ -11,7 +11,6 @@ sample interval. Both go into the covariance where estimates are made known.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSett
 from gray_box_observer.fit_test.loss_information import LossInformation
 from gray_box_observer.fit_test.policy import UNIFORM_STD
 from gray_box_observer.fit_test.voltage_level import is_held
-from gray_box_observer.observer.scale_doubt import limited
+from gray_box_observer.observer.scale_doubt import with_doubt
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
@@ -129,14 +128,11 @@ class LevelDoubt:
         """
         if not (self._spread.any() or self._half_interval_s > 0.0):
             return estimate
-        electrical = self._spread.shape[0]
-        covariance = estimate.covariance.copy()
-        value = estimate.value[0, :electrical]
-        covariance[0, :electrical, :electrical] += self._spread * np.outer(value, value)
+        value = estimate.value[0, : self._spread.shape[0]]
+        doubt = self._spread * np.outer(value, value)
         values = self._white_box.values(value)
-        covariance[0, 0, 0] += (self._half_interval_s * values.get('resistance', 0.0)) ** 2
-        verdicts = limited(estimate.verdicts[0], estimate.value[0], covariance[0], rules)
-        return replace(estimate, covariance=covariance, verdicts=(verdicts,))
+        doubt[0, 0] += (self._half_interval_s * values.get('resistance', 0.0)) ** 2
+        return with_doubt(estimate, doubt, rules)
 
     def state(self, place: int) -> dict[str, Any]:
         """Everything, as plain values for a checkpoint; its place counts back from the newest."""

@@ -174,6 +174,21 @@ def _shifts_of_constant(configuration: Configuration, white_box: MotorWhiteBox) 
     return {'N m': 1, 'rad': 1} if follows_current else {'N m': 1}
 
 
+def with_doubt(estimate: Estimate, doubt: Array, rules: VerdictSettings) -> Estimate:
+    """Return the estimate of one motor with a doubt in covariance and verdicts.
+
+    Args:
+        estimate: of it, perhaps with parameters behind that are not in doubt.
+        doubt: shape (parameter, parameter): covariance to be added, of the first parameters.
+        rules: what a verdict asks for.
+    """
+    count = doubt.shape[0]
+    covariance = estimate.covariance.copy()
+    covariance[0, :count, :count] += doubt
+    verdicts = limited(estimate.verdicts[0], estimate.value[0], covariance[0], rules)
+    return replace(estimate, covariance=covariance, verdicts=(verdicts,))
+
+
 def limited(
     verdicts: Sequence[Verdict], value: Array, covariance: Array, rules: VerdictSettings
 ) -> tuple[Verdict, ...]:

@@ -349,8 +349,10 @@ class Pairing:
             return self._hold_ns
         if stamp_ns - oldest_ns < self._patience_ns and len(self._torques) <= MOST_PATIENT:
             return self._patience_ns
-        self._is_patient = False  # it does not come: waiting on would only be late
-        self._awaits_first_speed = not awaits_speed
+        if voltage_ns is not None and awaits_speed:
+            self._awaits_first_speed = False  # it does not come: waiting on would only be late
+        else:
+            self._is_patient = False  # nor does this
         return self._hold_ns
 
     def _known_ns(self) -> int | None:

@@ -355,9 +355,9 @@ class MeasuredSpeedUpdate:
         missed_count = self._outputs.windows_without_fit
         has_changed = go_on()
         is_missed = self._outputs.windows_without_fit > missed_count
-        if fit_window is None or self._outputs.fitting is not None:
-            return False
-        if not (has_changed or is_missed):  # a voltage that is held tells nothing
+        if fit_window is None or not (
+            has_changed or is_missed
+        ):  # a voltage that is held tells nothing
             return False
         place, samples = fit_window
         fit = self._outputs.output_fit
