@@ -206,6 +206,7 @@ def _run_node(
             if kept_here and tells_range:
                 node.get_logger().info(discovery.OPENED_BY)
         except EndRequestedError as error:
+            _limit_end()
             return _end(name, stop, is_down=_take_down(error.node))
         except GrayBoxError as error:
             return _fail(name, error)
@@ -284,7 +285,6 @@ def _limit_end() -> None:
 
 def _take_down(node: Node) -> bool:
     """Destroy a node whose work is done; tell whether that was possible in time."""
-    _limit_end()
     until_s = time.monotonic() + _TAKE_DOWN_S
     for publisher in list(node.publishers):
         if time.monotonic() > until_s:
