@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Recording, Simulation
+from dc_motor_sim.simulation import Recording, Sample, Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
@@ -45,6 +45,11 @@ def driven(plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3
     for volts in voltage_v.tolist():
         simulation.command('motor', volts)
         samples.append(simulation.step())
+    return recording_of(samples)
+
+
+def recording_of(samples: Sequence[Sample]) -> Recording:
+    """Put the samples of one motor together."""
     stamps = np.array([sample.stamp_ns for sample in samples])
     names = ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
     signals = (np.stack([getattr(one, name) for one in samples], axis=1) for name in names)

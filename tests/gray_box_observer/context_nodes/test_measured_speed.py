@@ -27,7 +27,7 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit,
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
-from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -105,7 +105,7 @@ def window_of(content: np.ndarray, speed: np.ndarray) -> Window:
     """A window of content with a speed."""
     content = content.copy()
     content[3] = speed
-    return Window.from_samples(BOX, content, SpeedOutput(1.0))
+    return Window.from_samples(BOX, content, Unknowns(SpeedOutput(1.0)))
 
 
 def fitted(window: Window) -> OutputFit:

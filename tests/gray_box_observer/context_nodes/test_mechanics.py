@@ -15,8 +15,9 @@ from gray_box_observer.context_nodes import (
     Verdict,
     VerdictSettings,
 )
-from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics, load_spread
+from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.load_walk import load_spread
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test.data_sheet import contradiction
@@ -256,4 +257,5 @@ def test_a_measured_rotor_that_cannot_be_is_refused(values: dict[str, Any], mess
 def test_a_constant_load_leaves_no_doubt() -> None:
     outputs = observed().motors['motor'].observer.context_nodes._outputs  # type: ignore[attr-defined]
     rotor = Mechanics(NODES[2:], THETA[2:].tolist(), [0.0, 0.0, 0.0])
-    assert not load_spread(rotor, outputs.output_fit, KT).any()
+    fit = outputs.output_fit.fit
+    assert not load_spread(NODES[2:], rotor.values(fit.theta), fit.runs, KT).any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -81,6 +82,33 @@ def test_no_measurement_enters_the_run() -> None:
     wrong[1:, 10:] += 5.0  # measured, not predicted
     one, other = (followed(predictor(), each) for each in (record, wrong))
     assert [a.torque_nm[0] for a in one[4:]] == [b.torque_nm[0] for b in other[4:]]
+
+
+def test_a_load_that_varies_is_taken_from_the_newest_sample() -> None:
+    """No parameter holds it: every run begins with the current, speed and load of a sample."""
+    box = replace(BOX, load_varies=True)
+    loads = np.repeat([0.0, 3000.0, -3000.0], 100)
+    volts = np.full(loads.size, 6.0)
+    states = run(KT, coordinates(BOX, THETA[0]), np.zeros(2), volts, np.full(loads.size, STEP_S),
+                 LIMITS, loads).states  # fmt: skip
+    one = RotorPredictor(box)
+    errors_nm = []
+    for place, load in enumerate(loads.tolist()):
+        current, speed = states[place + 1].tolist()
+        now = sample(place, 6.0, current)
+        predicted = one.predict(now.interval_s, now.voltage_v, THETA)
+        errors_nm.append(float(predicted.torque_nm[0]) - KT * current)
+        one.advance(now, predicted, SpeedEstimate(speed, 1e-3, load))
+    held = np.flatnonzero(np.diff(loads, prepend=loads[0]) == 0.0)[5:]
+    assert np.abs(np.array(errors_nm)[held]).max() < 1e-4 * KT * np.abs(states[:, 0]).max()
+
+
+def test_beside_a_load_that_varies_nothing_is_learnt() -> None:
+    box = replace(BOX, load_varies=True)
+    job = {'white_box': box.to_dict(), 'rules': TrainingSettings().to_dict(), 'seed': 1}
+    answer = RotorTrainer(job).train({'residual': np.array(1), 'theta': THETA})
+    assert answer['settled']
+    assert 'output' not in answer
 
 
 def test_a_prediction_changes_nothing() -> None:

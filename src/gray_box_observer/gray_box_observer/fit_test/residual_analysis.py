@@ -42,7 +42,7 @@ from gray_box_observer.fit_test.projection import (
     Projection,
     long_run_covariance,
 )
-from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
 from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
@@ -232,7 +232,7 @@ def analysis_in_pieces(
     """
     work = stretch.state.size
     if white_box.has_rotor:
-        run = rotor_free_run(white_box, p, stretch)
+        run = yield from rotor_free_run_in_pieces(white_box, p, stretch)
     else:
         run = yield from free_run_in_pieces(white_box, p, stretch)
     yield work

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_runs
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
@@ -88,7 +90,16 @@ class RotorFreeRun(FreeRun):
 
 
 def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
+    """Run a motor with a rotor at once; see :func:`rotor_free_run_in_pieces`."""
+    return completed(rotor_free_run_in_pieces(white_box, p, stretch))
+
+
+def rotor_free_run_in_pieces(
+    white_box: WhiteBox, p: Array, stretch: SampleWindow
+) -> Pieces[FreeRun]:
     """Run a motor with a rotor freely through a stretch, its first states where they fit best.
+
+    So does a load that varies. As where the run begins, it explains whatever it can.
 
     Args:
         white_box: of one motor with a rotor.
@@ -99,9 +110,13 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
     assert isinstance(white_box, MotorWhiteBox)
     theta = to_parameters(p)[0]
     window = Window.from_samples(white_box, _samples(white_box, stretch))
-    with np.errstate(all='ignore'):
-        runs = settled_runs(white_box, theta, window) if window.histories else None
-    whole = _joined(window) if window.histories else stretch
+    runs = None
+    if window.histories and white_box.load_varies:
+        runs = yield from loaded_runs(white_box, theta, window)
+    elif window.histories:
+        with np.errstate(all='ignore'):
+            runs = settled_runs(white_box, theta, window)
+    whole = _joined(window if runs is None else runs.window) if window.histories else stretch
     if runs is None:
         return _nothing(p, whole)
     transitions = _transitions(runs)
@@ -155,14 +170,14 @@ def _transitions(runs: FreeRuns) -> Array:
 
 
 def _by_start(runs: FreeRuns) -> list[Array]:
-    """Derivatives of the current by every first state, shape (sample,) each."""
+    """Derivatives of the current by every unknown of its history, shape (sample,) each."""
     total = runs.residual_a.size
     begin = 0
     columns = []
     for by_start in runs.by_start:
-        for state in range(len(State)):
+        for unknown in range(by_start.shape[1]):
             column = np.zeros(total)
-            column[begin : begin + by_start.shape[0]] = by_start[:, state]
+            column[begin : begin + by_start.shape[0]] = by_start[:, unknown]
             columns.append(column)
         begin += by_start.shape[0]
     return columns

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
+from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_current
 from gray_box_observer.context_nodes.rotor.window import rotor_current
 from gray_box_observer.samples.spread import spread
 from gray_box_observer.white_box import MotorWhiteBox
@@ -46,6 +47,8 @@ def white_box_torque(
 ) -> Array:
     """Run the white box freely; only the start of a history takes the measured torque.
 
+    A load that varies is taken as it explains the measured torque best.
+
     Args:
         white_box: of one motor.
         theta: shape (parameter,).
@@ -61,7 +64,8 @@ def white_box_torque(
         return np.full(torque_nm.shape, math.nan)
     if white_box.has_rotor:
         samples = np.stack([interval_s, voltage_v, torque_nm])
-        return white_box.output(rotor_current(white_box, theta, samples))
+        current = loaded_current if white_box.load_varies else rotor_current
+        return white_box.output(current(white_box, theta, samples))
     state = white_box.state(torque_nm)
     speed = speed_rad_s if white_box.speed_measured else np.zeros_like(torque_nm)
     coordinates = to_coordinates(theta[None])

@@ -26,6 +26,7 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
 from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice
 from gray_box_observer.observer.motor_form import (
     MEASURED,
@@ -47,6 +48,7 @@ from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.settings.motor_configuration import (
     CURRENT_LAG,
     DEAD_ZONE,
+    VARYING_LOAD,
     MotorConfiguration,
 )
 from gray_box_observer.settings.parameters import KNOWN_PARAMETERS, PHYSICS
@@ -203,6 +205,8 @@ def _open_effects(
     # what a dead zone takes would lag, too; and a lag needs L/R beside it
     if first.has_value(DEAD_ZONE) or not first.has_value('resistance'):
         possible = [name for name in possible if name != CURRENT_LAG]
+    if first.has_value(LOAD_TORQUE):  # of one that varies it would be a part
+        possible = [name for name in possible if name != VARYING_LOAD]
     return tuple(name for name in possible if not first.has_value(name)), NOTHING_ADDED
 
 

@@ -44,7 +44,7 @@ from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -324,8 +324,22 @@ class FormChoice:
         others = []
         if plain is not None and plain not in different and self.may_take(plain):
             others.append(plain)
+        others += [kind for kind in self._with_varying_load(plain) if self.may_take(kind)]
         room = MOST_CANDIDATES - len(different) - len(others)
         return (*different, *self._with_loads(different, room), *others)[:MOST_CANDIDATES]
+
+    def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
+        """Return a rotor with a load that varies: it explains most, and is asked last.
+
+        Args:
+            plain: the form with the other source of the speed.
+        """
+        if self.kind.source == ROTOR:
+            kind = self.kind.without(LOAD_TORQUE)
+            return [] if VARYING_LOAD in kind.effects else [kind.with_effect(VARYING_LOAD)]
+        if plain is None or plain.source != ROTOR or not self._pace.trials:
+            return []
+        return [plain.with_effect(VARYING_LOAD)]
 
     def _with_loads(self, before: Sequence[FormKind], room: int) -> list[FormKind]:
         """Return a rotor with what it may carry; where there is room for one alone, in turn.

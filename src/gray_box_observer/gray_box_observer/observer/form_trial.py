@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import (
     FINISHED,
     MOST_PIECES,
@@ -21,6 +20,7 @@ from gray_box_observer.context_nodes.pieces import (
     WorkBudget,
     bounded,
 )
+from gray_box_observer.context_nodes.rotor.load_walk import MOST_KNOTS, SAMPLES_A_KNOT
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -36,7 +36,7 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -74,7 +74,8 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
 
-_DECISIVE = ('inductance', 'resistance', 'inertia')
+_RESISTANCE = 'resistance'
+_DECISIVE = ('inductance', _RESISTANCE, 'inertia')
 
 _TRIAL = 'trial'
 _BACKLOG = 'backlog'
@@ -223,7 +224,7 @@ class FormTrial:
             kind = fit.kind
             form = fit.form
             if fit.is_misfit:
-                return TrialOutcome(None, self._why_not(form.fit.assessment(0), fit.estimate))
+                return TrialOutcome(None, self._why_not(fit))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')
         if kind.is_same_but_for_lag(start.kind):
@@ -240,10 +241,8 @@ class FormTrial:
             fit = yield from self._fitter.ordered(fit, content)
             left_a = fit.form.residual(content, fit.settle_s)
         kind = fit.kind
-        estimate = fit.estimate
-        assessment = fit.form.fit.assessment(0)
         if not self._is_better(fit, left_a, before_a):
-            return TrialOutcome(None, self._why_not(assessment, estimate))
+            return TrialOutcome(None, self._why_not(fit))
         if start.kind.source == kind.source == MEASURED:
             late = self._open.make(start.kind)
             newest = content[:, :, -LATE:]
@@ -270,9 +269,9 @@ class FormTrial:
         before = start.kind.lag
         assert lag is not None
         is_told = before is not None and bool(before.other_order) and not lag.other_order
-        gain = self._gain(fit.estimate, left_a, before_a, fit.settle_s)
+        gain = self._gain(fit, left_a, before_a)
         if fit.is_misfit or not gain > (-TOLD_APART if is_told else TOLD_APART):
-            return TrialOutcome(None, self._why_not(fit.form.fit.assessment(0), fit.estimate))
+            return TrialOutcome(None, self._why_not(fit))
         return self._outcome(fit, left_a, before_a)
 
     def _outcome(self, fit: FormFit, left_a: float, before_a: float) -> TrialOutcome:
@@ -290,7 +289,7 @@ class FormTrial:
             f'{kind.in_words} explains the data: the residual of its free run is '
             f'{assessment.ratio:.3g} times the noise, that of {self._start.kind.in_words} '
             f'{assessment.ratio * before_a / left_a:.3g} times (log-likelihood '
-            f'{self._gain(fit.estimate, left_a, before_a, fit.settle_s):.3g}){_on_lag(kind.lag)}',
+            f'{self._gain(fit, left_a, before_a):.3g}){_on_lag(kind.lag)}',
             kind,
             left_a,
         )
@@ -312,26 +311,30 @@ class FormTrial:
         """
         return (
             _explains(other.form.fit.assessment(0), left_a, before_a)
-            and _is_told(other.estimate)
-            and self._gain(other.estimate, left_a, before_a, other.settle_s) > EVIDENCE
+            and _is_told(other)
+            and self._gain(other, left_a, before_a) > EVIDENCE
         )
 
-    def _gain(self, estimate: Estimate, left_a: float, before_a: float, settle_s: float) -> float:
+    def _gain(self, fit: FormFit, left_a: float, before_a: float) -> float:
         """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
-        count = settled_count(self._start.content, settle_s)
+        count = settled_count(self._start.content, fit.settle_s)
         if not (left_a > 0.0 and np.isfinite(before_a)):
             return 0.0 if left_a > 0.0 else -math.inf
         if count == 0:
             return -math.inf
-        cost = 0.5 * (len(estimate.parameters) - self._start.parameters) * math.log(count)
+        parameters = len(fit.estimate.parameters) - self._start.parameters
+        if VARYING_LOAD in fit.kind.effects:
+            parameters += min(count // SAMPLES_A_KNOT, MOST_KNOTS)
+        cost = 0.5 * parameters * math.log(count)
         return log_likelihood(count, before_a, left_a) - cost
 
     @staticmethod
-    def _why_not(fit: FitAssessment, estimate: Estimate) -> str:
+    def _why_not(fit: FormFit) -> str:
         """Say why another form is not adopted."""
-        if fit.verdict is FitVerdict.MISFIT:
+        if fit.is_misfit:
             return 'does not either'
-        if fit.verdict is FitVerdict.UNTESTED or not _is_told(estimate):
+        is_tested = fit.form.fit.assessment(0).verdict is not FitVerdict.UNTESTED
+        if not (is_tested and _is_told(fit)):
             return 'cannot be told from them'
         return 'explains them hardly better'
 
@@ -472,10 +475,12 @@ def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:
     return fit.verdict is FitVerdict.OK
 
 
-def _is_told(estimate: Estimate) -> bool:
-    """Tell whether the data tell what a form stands on."""
+def _is_told(fit: FormFit) -> bool:
+    """Tell whether the data tell what a form stands on: beside a load that varies R alone."""
+    estimate = fit.estimate
+    decisive = (_RESISTANCE,) if VARYING_LOAD in fit.kind.effects else _DECISIVE
     return all(
         estimate.std[0, j] < LARGEST_STD * estimate.value[0, j]
         for j, parameter in enumerate(estimate.parameters)
-        if parameter.name in _DECISIVE
+        if parameter.name in decisive
     )

@@ -26,7 +26,7 @@ from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -46,14 +46,15 @@ QUADRATIC_FRICTION = 'quadratic_friction'
 
 POSSIBLE_EFFECTS = (
     *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG),
-    *(LOAD_TORQUE, QUADRATIC_FRICTION),
+    *(LOAD_TORQUE, QUADRATIC_FRICTION, VARYING_LOAD),
 )
-"""Effects of driver, sensor and load that data may add: names of their context nodes, and the lag
-of the current sensor, which is none."""
+"""Effects of driver, sensor and load that data may add: names of their context nodes, and two that
+have none, a lag of the current sensor and a load that varies."""
 
 SOURCES_OF = {
     LOAD_TORQUE: (ROTOR,),
     QUADRATIC_FRICTION: (ROTOR,),
+    VARYING_LOAD: (ROTOR,),
     CURRENT_LAG: (THESIS, ROTOR),
 }
 """Sources of the speed beside which an effect may be added, where not beside all: a measured speed
@@ -69,6 +70,7 @@ _IN_WORDS = {
     CURRENT_LAG: 'a lag of the current',
     LOAD_TORQUE: 'a load',
     QUADRATIC_FRICTION: 'a quadratic friction',
+    VARYING_LOAD: 'a load that varies',
 }
 
 WORK_A_SAMPLE = 8

@@ -4,6 +4,9 @@ Both states follow the identified values by the trajectory that the values are f
 begins with the measured torque and an unknown speed. So nothing is predicted there until a few
 samples have told the speed (:class:`~.context_nodes.rotor.speed_filter.SpeedFilter`). From then on
 no measurement enters the run. What the physics lacks is learnt beside it as for every single motor.
+
+A load that varies is in no parameter. There every run begins at the newest sample, with the speed
+and the load of the filter, and nothing is learnt beside it.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import LOAD, run
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.held_speed import held_speed_current
@@ -92,6 +95,7 @@ class RotorPredictor(TorquePredictor):
         self._states: Array | None = None
         self._wait_count = 0
         self._largest_v = LEAST_V
+        self._load_rad_s2: float | None = None
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> RotorPrediction:
         """Forecast the torque at the end of an interval; see :class:`TorquePredictor`."""
@@ -157,9 +161,11 @@ class RotorPredictor(TorquePredictor):
         if anew[0]:
             states = None
             self._wait_count = 0
-        elif states is None:
+        elif states is None or self._white_box.load_varies:
             states = self._begun(sample, speed)
         self._states = states
+        if speed is not None and speed.load_rad_s2 is not None:
+            self._load_rad_s2 = speed.load_rad_s2
         added_nm = (
             None if prediction.physics_nm is None else prediction.torque_nm - prediction.physics_nm
         )
@@ -207,7 +213,12 @@ class RotorPredictor(TorquePredictor):
         )
         limits = MOST * (sizes + np.abs(start))
         volts = np.full(parts_s.size, volt)
-        path = run(float(self._white_box.torque_constant), self._p, start, volts, parts_s, limits)
+        load = None
+        if self._load_rad_s2 is not None:  # that of the parameters is in it
+            load = np.full(parts_s.size, self._load_rad_s2 - self._p[LOAD])
+        path = run(
+            float(self._white_box.torque_constant), self._p, start, volts, parts_s, limits, load
+        )
         return path.states if path.is_bounded else None
 
     def _torque(self, states: Array) -> Array:

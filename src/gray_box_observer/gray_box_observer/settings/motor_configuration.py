@@ -30,6 +30,10 @@ BACK_EMF = 'back_emf_constant'
 
 DEAD_ZONE = 'dead_zone'
 CURRENT_LAG = 'current_lag'
+VARYING_LOAD = 'varying_load'
+"""Effects that data may add and that are no context nodes: a lag of the current sensor, and a load
+that no term describes."""
+
 INITIAL_DEAD_ZONE = f'initial.{DEAD_ZONE}'
 
 DEFAULT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
@@ -81,7 +85,10 @@ class MotorConfiguration:
         if self.has_rotor and not self.states_back_emf:
             constants[BACK_EMF] = self.values['torque_constant']
         has_speed_signal = speed_measured and not self.has_rotor
-        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, has_speed_signal)
+        load_varies = VARYING_LOAD in self.added_effects
+        return MotorWhiteBox(
+            nodes, self.values['torque_constant'], constants, has_speed_signal, load_varies
+        )
 
     @property
     def joint(self) -> str:

@@ -371,8 +371,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'auto',
         'auto adds to context_nodes what the data show of driver and sensor (brush_drop, '
         'voltage_offset, dead_zone) and on the shaft of a rotor (load_torque, quadratic_friction '
-        'of a fan); a lag of the current sensor (current_lag) is added to the physics. none never '
-        'adds anything.',
+        'of a fan); a lag of the current sensor (current_lag) and a load that varies '
+        '(varying_load) are added to the physics. none never adds anything.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(

@@ -33,16 +33,18 @@ class MotorWhiteBox:
         known: values of the known parameters in SI units, scalars or shape (motor,); effects left
             out are zero. Of a context node with a known part it is that part.
         speed_measured: true where speed is a signal; else ``w = Kt i`` (thesis, 4.1.1).
+        load_varies: whether a load acts on the rotor that no term describes.
 
     Raises:
-        ConfigurationError: an unknown name, no inductance, a term of the rotor without its inertia,
-            or a term that only a measured speed could tell apart.
+        ConfigurationError: an unknown name, no inductance, a term or a load of the rotor without
+            its inertia, or a term that only a measured speed could tell apart.
     """
 
     context_nodes: tuple[str, ...]
     torque_constant: Any
     known: Mapping[str, Any] = field(default_factory=dict)
     speed_measured: bool = False
+    load_varies: bool = False
 
     def __post_init__(self) -> None:
         unknown = [name for name in (*self.context_nodes, *self.known) if name not in TERMS]
@@ -69,6 +71,8 @@ class MotorWhiteBox:
                 f'{still[0]} belongs to the rotor, which is a state only with its inertia among '
                 'context_nodes: set speed_source: rotor, or measured with inertia among them'
             )
+        if self.load_varies and not self.has_rotor:
+            raise ConfigurationError('a load that varies needs the inertia among context_nodes')
         blind = [n for n in self.context_nodes if TERMS[n].needs_speed and not self.speed_measured]
         if blind:
             raise ConfigurationError(
@@ -93,7 +97,7 @@ class MotorWhiteBox:
 
     def to_dict(self) -> dict[str, Any]:
         """Describe the white box in plain values, for a checkpoint or another process."""
-        return {
+        description = {
             'context_nodes': list(self.context_nodes),
             'torque_constant': np.asarray(self.torque_constant, dtype=float).tolist(),
             'known': {
@@ -101,6 +105,8 @@ class MotorWhiteBox:
             },
             'speed_measured': self.speed_measured,
         }
+        # early releases knew none, and what is saved of the others stays as it was
+        return description | ({'load_varies': True} if self.load_varies else {})
 
     @classmethod
     def from_dict(
@@ -112,6 +118,7 @@ class MotorWhiteBox:
             convert(description['torque_constant']),
             {name: convert(value) for name, value in description['known'].items()},
             bool(description['speed_measured']),
+            bool(description.get('load_varies', False)),
         )
 
     def of_motors(self, index: Any) -> MotorWhiteBox:

@@ -13,10 +13,7 @@ from gray_box_observer.context_nodes.estimate import (
     Verdict,
     VerdictSettings,
 )
-from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
-from gray_box_observer.context_nodes.rotor.history_unknowns import LOADS
-from gray_box_observer.white_box import forms
-from gray_box_observer.white_box.declaration import TERMS, State
+from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
 
 
@@ -38,44 +35,14 @@ class Mechanics:
     known_values: Mapping[str, float] = field(default_factory=dict)
     known_parts: Mapping[str, float] = field(default_factory=dict)
 
+    def values(self, theta: Array) -> dict[str, float]:
+        """Return the rotor's parameters by name.
 
-def load_spread(mechanics: Mechanics, fit: OutputFit, torque_constant: float) -> Array:
-    """Return by how much a load that varies may have moved the rotor's parameters, relative.
-
-    A load is told from inertia and friction by its course alone, and how it goes is an assumption.
-    So every parameter is known no better than if all that varies were its own.
-
-    Args:
-        mechanics: what is fitted.
-        fit: of both outputs.
-        torque_constant: Kt in N m/A.
-
-    Returns:
-        Shape (node,); 0 where the load is constant.
-    """
-    spread = np.zeros(len(mechanics.nodes))
-    loads = [start[LOADS] for start in fit.fit.starts if start[LOADS].size]
-    if not fit.walk > 0.0 or not loads:
-        return spread
-    load = float(np.sqrt(np.mean(np.concatenate(loads) ** 2)))
-    values = _values(mechanics, fit)
-    runs = zip(fit.window.histories, fit.fit.runs.runs, strict=True)
-    accelerations = [np.diff(run.states[:, State.SPEED]) / one.interval_s for one, run in runs]
-    current, speed = np.concatenate([run.states for run in fit.fit.runs.runs]).T
-    for place, name in enumerate(mechanics.nodes):
-        if TERMS[name].formula:
-            effect = forms.EFFECTS[name].value(current, speed, torque_constant, 0.0)
-            own = values[name] / values['inertia'] * np.broadcast_to(effect, current.shape)
-        else:
-            own = np.concatenate(accelerations)
-        spread[place] = load / max(float(np.sqrt(np.mean(own**2))), 1e-300)
-    return np.asarray(np.minimum(spread, WIDEST))
-
-
-def _values(mechanics: Mechanics, fit: OutputFit) -> dict[str, float]:
-    """Return the rotor's parameters by name."""
-    values = fit.fit.theta[-len(mechanics.nodes) :].tolist()
-    return {**mechanics.known_values, **dict(zip(mechanics.nodes, values, strict=True))}
+        Args:
+            theta: shape (parameter,): of the whole motor, those of the rotor last.
+        """
+        nodes = zip(self.nodes, theta[-len(self.nodes) :].tolist(), strict=True)
+        return {**self.known_values, **dict(nodes)}
 
 
 def limited(
@@ -85,7 +52,7 @@ def limited(
 
     Args:
         estimate: shape (1, node) in its value.
-        spread: shape (node,): of :func:`load_spread`.
+        spread: shape (node,): of :func:`~.rotor.load_walk.load_spread`.
         rules: what a verdict asks for.
         is_settled: whether enough samples were explained to call anything identified.
     """
@@ -103,9 +70,6 @@ def limited(
     )
     return replace(estimate, covariance=covariance, verdicts=(at_most,))
 
-
-WIDEST = 100.0
-"""Relative spread that is told at most."""
 
 _DEFAULT_NODES = ('inertia', 'viscous_friction', 'coulomb_friction')
 

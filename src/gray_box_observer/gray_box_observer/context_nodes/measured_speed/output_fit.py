@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
-from gray_box_observer.context_nodes.measured_speed.load_walk import walk_of_load
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import (
@@ -21,7 +20,14 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
     difference_noise,
 )
-from gray_box_observer.context_nodes.rotor.history_unknowns import LAG, SpeedOutput
+from gray_box_observer.context_nodes.rotor.history_unknowns import LAG, SpeedOutput, Unknowns
+from gray_box_observer.context_nodes.rotor.load_walk import (
+    ALIKE,
+    WALKS,
+    first_walk,
+    load_over,
+    walk_of_load,
+)
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
@@ -60,20 +66,6 @@ SEEN = 1.2
 
 HOPELESS = 4.0
 """The same from which another unit of the outputs will not help."""
-
-MOST_KNOTS = 64
-FEWEST_KNOTS = 4
-SAMPLES_A_KNOT = 32
-"""Knots of a load that varies."""
-
-WALKS = 4
-"""Fits at most in which the walk of a load settles."""
-
-ALIKE = 1.4
-"""Factor between two walks that are the same."""
-
-FIRST_LOAD = 0.1
-"""Share of the stalled motor's torque by which a load is first taken to vary within a second."""
 
 IDLE = 0.01
 """Squared distance, in standard deviations, of two ends that are the same."""
@@ -138,7 +130,8 @@ class OutputFit:
     @property
     def walk(self) -> float:
         """Variance that the load gains in a second, in (rad/s2)^2/s; 0 where it is constant."""
-        return 0.0 if self.window.speed_output is None else self.window.speed_output.walk
+        load = self.window.unknowns.load
+        return 0.0 if load is None else load.walk
 
     @property
     def unknowns(self) -> int:
@@ -197,7 +190,7 @@ def fit_outputs(
     if linear is None or steady is None or steady.explains:
         return steady
     walk_fit = yield from _loaded(
-        white_box, window, prior, linear, floor, _first_walk(white_box, window, linear)
+        white_box, window, prior, linear, floor, first_walk(white_box, window, linear)
     )
     return walk_fit if walk_fit is not None and walk_fit.explains else steady
 
@@ -252,7 +245,7 @@ def _settled(
     output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
     tries_others = last_fit is None or last_fit.has_rivals
     for _ in range(ROUNDS):
-        window = replace(window, speed_output=output)
+        window = replace(window, unknowns=Unknowns(output))
         fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
         if fit is None:
             return result
@@ -281,33 +274,24 @@ def _loaded(
     walk: float,
 ) -> Pieces[OutputFit | None]:
     """Fit with a load that walks at random, as fast as its knots turn out to."""
-    longest = max(history.current_a.size for history in window.histories)
-    knots = int(np.clip(longest // SAMPLES_A_KNOT, FEWEST_KNOTS, MOST_KNOTS))
-    output = SpeedOutput(floor.unit_a_s, knots, walk)
+    output = SpeedOutput(floor.unit_a_s)
+    load = load_over(window, walk)
     result = None
     for _ in range(WALKS):
-        window = replace(window, speed_output=output)
+        window = replace(window, unknowns=Unknowns(output, load))
         fit = yield from search_from(white_box, window, prior, start)
         if fit is None:
             return result
         result = _result(fit, window, floor)
-        walk = walk_of_load(fit, window)
+        walk = walk_of_load(fit.runs, fit.noise_a)
         unit = result.noise.unit_a_s
-        is_settled = 1.0 / ALIKE < walk / output.walk < ALIKE
+        is_settled = 1.0 / ALIKE < walk / load.walk < ALIKE
         if is_settled and 1.0 / ALIKE < unit / output.unit_a_s < ALIKE:
             break
-        output = replace(output, unit_a_s=unit, walk=walk)
+        output = SpeedOutput(unit)
+        load = replace(load, walk=walk)
         start = fit.theta
     return result
-
-
-def _first_walk(white_box: MotorWhiteBox, window: Window, theta: Array) -> float:
-    """A load that takes a tenth of the stalled motor's acceleration within a second."""
-    values = dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
-    stall_torque_nm = (
-        float(white_box.torque_constant) * window.largest_voltage_v / values['resistance']
-    )
-    return float(FIRST_LOAD * stall_torque_nm / values['inertia']) ** 2 + 1e-12
 
 
 def _result(fit: Fit, window: Window, floor: OutputNoise) -> OutputFit:

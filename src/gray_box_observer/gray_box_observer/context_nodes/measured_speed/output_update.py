@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
 )
 from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
-from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -72,7 +72,7 @@ class OutputLearner(WindowLearner):
 
     def window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories with their speed."""
-        return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
+        return Window.from_samples(self._white_box, samples, Unknowns(SpeedOutput(1.0)))
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]

@@ -10,12 +10,11 @@ import numpy as np
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, misfit, unsettled
 from gray_box_observer.context_nodes.measured_speed.mechanics import (
     DEFAULT_MECHANICS,
-    WIDEST,
     Mechanics,
     limited,
-    load_spread,
 )
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
+from gray_box_observer.context_nodes.rotor.load_walk import WIDEST, load_spread
 from gray_box_observer.safe_io.saved_state import MOST, ArrayRule, check_arrays, whole
 from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array, Parameter
@@ -124,7 +123,10 @@ class PublishedMechanics:
             return
         is_explained = fit.explains_rotor
         self.explained_count = max(self.explained_count, count) if is_explained else -1
-        now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
+        nodes = self._mechanics.nodes
+        values = self._mechanics.values(fit.fit.theta)
+        torque_constant = float(self._white_box.torque_constant)
+        now = load_spread(nodes, values, fit.fit.runs, torque_constant)
         self.spread = np.maximum(now, REMAINDER * self.spread)
         self.spread[self.spread < LEAST_SPREAD] = 0.0
 

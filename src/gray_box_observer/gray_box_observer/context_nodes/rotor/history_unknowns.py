@@ -1,7 +1,7 @@
 """What is free in every signal history beside the parameters: its first states, and more.
 
-Where the measured speed is an output of the motor, its lag is free, and so is a load that varies:
-it takes a part of the acceleration that runs straight between knots and walks at random over them.
+Where the measured speed is an output of the motor, its lag is free. So is a load that varies: it
+takes a part of the acceleration that runs straight between knots and walks at random over them.
 """
 
 from __future__ import annotations
@@ -16,10 +16,7 @@ from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.interface import Array
 
 LAG = STATES
-"""Place of the speed's lag in s among the unknowns of a history, behind the first states."""
-
-LOADS = slice(STATES + 1, None)
-"""Places of the load's knots, in rad/s2."""
+"""Place of the speed's lag in s among the unknowns of a history whose speed is an output."""
 
 LATEST = 5.0
 """Standard deviation of the speed's lag before anything is known of it, in sample intervals."""
@@ -31,35 +28,73 @@ class SpeedOutput:
 
     Attributes:
         unit_a_s: noise of the current over that of the speed, in A s/rad: one unit for both.
-        knots: of the load over a signal history; 0: the load is constant.
-        walk: variance that a load gains in a second, in (rad/s2)^2/s.
     """
 
     unit_a_s: float
-    knots: int = 0
-    walk: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoadWalk:
+    """A load that walks at random, straight between knots.
+
+    Attributes:
+        knots: over a signal history.
+        walk: variance that it gains in a second, in (rad/s2)^2/s.
+    """
+
+    knots: int
+    walk: float
+
+    def precision(self, length_s: float) -> Array:
+        """Return what is known of the knots beforehand, shape (knot, knot), in (s2/rad)^2.
+
+        Args:
+            length_s: of the history.
+        """
+        steps = np.diff(np.eye(self.knots), axis=0)
+        spacing_s = length_s / (self.knots - 1)
+        level = np.eye(self.knots) / (self.walk * self.knots * max(length_s, 1e-9))
+        return np.asarray(
+            steps.T @ steps / (self.walk * spacing_s) + level / self.knots, dtype=float
+        )
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What is free in every history of a window: first states, lag and knots, in this order.
+
+    Attributes:
+        speed_output: how the measured speed is fitted; None: it is not looked at.
+        load: that varies; None: none does.
+    """
+
+    speed_output: SpeedOutput | None = None
+    load: LoadWalk | None = None
 
     @property
-    def unknowns(self) -> int:
-        """How many unknowns a history has."""
-        return STATES + 1 + self.knots
+    def loads(self) -> slice:
+        """Places of the load's knots, in rad/s2."""
+        begin = STATES + (self.speed_output is not None)
+        return slice(begin, begin + (0 if self.load is None else self.load.knots))
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return int(self.loads.stop)
 
     def precision(self, start_std: Array, interval_s: Array) -> Array:
-        """Return what is known of a history's unknowns beforehand, shape (unknown, unknown).
+        """Return what is known of them beforehand, shape (unknown, unknown).
 
         Args:
             start_std: shape (state,): of the first states.
-            interval_s: shape (k,): its intervals.
+            interval_s: shape (k,): intervals of the history.
         """
-        result = np.zeros((self.unknowns, self.unknowns))
-        lag_std = LATEST * float(median(interval_s))
-        result[: LAG + 1, : LAG + 1] = np.diag([*start_std**-2.0, lag_std**-2.0])
-        if self.knots:
-            length = float(interval_s.sum())
-            steps = np.diff(np.eye(self.knots), axis=0)
-            spacing = length / (self.knots - 1)
-            level = np.eye(self.knots) / (self.walk * self.knots * max(length, 1e-9))
-            result[LOADS, LOADS] = steps.T @ steps / (self.walk * spacing) + level / self.knots
+        result = np.zeros((self.count, self.count))
+        result[:STATES, :STATES] = np.diag(start_std**-2.0)
+        if self.speed_output is not None:
+            result[LAG, LAG] = (LATEST * float(median(interval_s))) ** -2.0
+        if self.load is not None:
+            result[self.loads, self.loads] = self.load.precision(float(interval_s.sum()))
         return result
 
 
@@ -71,9 +106,13 @@ def knot_places(interval_s: Array, knots: int) -> Array:
     return places
 
 
-def load_over_intervals(unknowns: Array, interval_s: Array) -> Array | None:
-    """Return the load of a history, shape (k,), in rad/s2; None where it has no knots."""
-    loads = unknowns[LOADS]
+def load_over_intervals(loads: Array, interval_s: Array) -> Array | None:
+    """Return the load of a history, shape (k,), in rad/s2; None where it has no knots.
+
+    Args:
+        loads: shape (knot,): at its knots.
+        interval_s: shape (k,).
+    """
     if loads.size == 0:
         return None
     places = knot_places(interval_s, loads.size)
@@ -129,7 +168,8 @@ class LateReadings:
         return result
 
 
-def load_slopes(path: Run, interval_s: Array, unknowns: Array) -> Array | None:
+def load_slopes(path: Run, interval_s: Array, load: LoadWalk | None) -> Array | None:
     """Derivatives of the states by the load's knots, shape (k + 1, state, knot); None: no load."""
-    knots = unknowns[LOADS].size
-    return by_knot(path, knot_places(interval_s, knots), knots) if knots else None
+    if load is None:
+        return None
+    return by_knot(path, knot_places(interval_s, load.knots), load.knots)

@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import (
+    COUNTS_AS_KNOWN,
     Estimate,
+    Verdict,
     VerdictSettings,
     bounded,
     spread_of_values,
@@ -34,6 +36,7 @@ from gray_box_observer.context_nodes.pieces import (
 )
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite
+from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
     AGAIN,
@@ -45,6 +48,7 @@ from gray_box_observer.context_nodes.update_rule import check_parameters
 from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, flag, group, whole
 from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -93,7 +97,8 @@ class RotorUpdate:
         self._white_box = white_box
         self._rules = rules or RecursiveSettings()
         self.verdict_rules = verdict_rules or VerdictSettings()
-        self._learner = self._learner_type(
+        learner_type = LoadedLearner if white_box.load_varies else self._learner_type
+        self._learner = learner_type(
             white_box, initial, initial_relative_std, self._rules.drift_threshold
         )
         capacity = max(self._rules.replay_capacity, WINDOW)
@@ -161,7 +166,19 @@ class RotorUpdate:
         verdicts = self.verdict_rules.judge(
             parameters, theta, std, is_frozen=self._is_frozen, most=most
         )
+        if self._white_box.load_varies:
+            verdicts = (self._as_far_as_loaded(verdicts[0]),)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
+
+    def _as_far_as_loaded(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
+        """Return verdicts of a motor whose load varies: of its rotor nothing is known for good."""
+        pairs = zip(self._white_box.context_nodes, verdicts, strict=True)
+        return tuple(
+            Verdict.CONVERGING
+            if verdict in COUNTS_AS_KNOWN and TERMS[name].state is State.SPEED
+            else verdict
+            for name, verdict in pairs
+        )
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample and go on with the fit that is due; tell whether it has ended.

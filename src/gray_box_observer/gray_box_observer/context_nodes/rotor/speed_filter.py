@@ -66,10 +66,12 @@ class SpeedEstimate:
     Attributes:
         speed_rad_s: in rad/s.
         std_rad_s: its standard deviation.
+        load_rad_s2: what a load that varies takes of the acceleration, in rad/s2; None: none does.
     """
 
     speed_rad_s: float
     std_rad_s: float
+    load_rad_s2: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,4 +277,12 @@ class SpeedFilter:
         least_std = FINEST * self._no_load_speed
         variance = spread + more_std**2 + least_std**2
         self._is_running = math.isfinite(speed) and 0.0 <= variance < math.inf
-        return SpeedEstimate(speed, math.sqrt(variance)) if self._is_running else None
+        if not self._is_running:
+            return None
+        return SpeedEstimate(speed, math.sqrt(variance), self._load())
+
+    def _load(self) -> float | None:
+        """Return the load over the inertia that the filters agree on, where it varies."""
+        if not self._white_box.load_varies:
+            return None
+        return float(self._shares() @ self._states[:, ACCELERATION])

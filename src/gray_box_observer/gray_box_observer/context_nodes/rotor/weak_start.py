@@ -30,6 +30,13 @@ seen begins: from nothing no search would find its way."""
 
 LOAD = 'load_torque'
 
+VARYING, FEW_WIDTHS = 16, (2, 8, 25)
+"""Straight lines of a load that varies, and the widths that are tried beside one: there a start
+costs more."""
+
+RIGHT = 5
+"""Column of a row's right-hand side."""
+
 SLOWEST = 0.02
 """Least b, as a share of a / R: friction that is not seen is taken for little."""
 
@@ -41,35 +48,48 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
         white_box: of one motor with a rotor.
         window: the samples.
     """
-    has_load = LOAD in white_box.context_nodes
+    spans = VARYING if white_box.load_varies else int(LOAD in white_box.context_nodes)
     with np.errstate(all='ignore'):
-        for width in WIDTHS:
-            solution = _solved(window, width, has_load=has_load)
+        for width in FEW_WIDTHS if white_box.load_varies else WIDTHS:
+            solution = _solved(window, width, spans)
             if solution is not None and np.isfinite(solution).all():
                 yield _nodes(white_box, solution, window)
 
 
-def _solved(window: Window, width: int, *, has_load: bool) -> Array | None:
-    """Return (L, R, a, b, c, d); None where the samples are too few or tell nothing."""
+def _solved(window: Window, width: int, spans: int) -> Array | None:
+    """Return (L, R, a, b, c, d); None where the samples are too few or tell nothing.
+
+    Args:
+        window: the samples.
+        width: half width of the triangle, in samples.
+        spans: of the load; see :func:`_loads`.
+    """
     resistance = None
     solution = None
     for _ in range(2):  # the sign of the back-EMF needs a resistance
         rows = [
-            _rows(history, width, resistance)
+            _rows(history, width, resistance, spans)
             for history in window.histories
             if history.current_a.size > 2 * width + 1
         ]
         if not rows or sum(row.shape[0] for row in rows) < 16:
             return None
-        solution = _positive(np.concatenate(rows), has_load=has_load)
+        solution = _positive(np.concatenate(rows))
         if solution is None:
             return None
         resistance = float(solution[1])
     return solution
 
 
-def _rows(history: History, width: int, resistance: float | None) -> Array:
-    """One row a triangle: what multiplies L, R + L b, R b + a, -b, -c and -d, and the right."""
+def _rows(history: History, width: int, resistance: float | None, spans: int) -> Array:
+    """One row a triangle: what multiplies L, R + L b, R b + a, -b and -c, the right, then each -d.
+
+    Args:
+        history: the samples.
+        width: half width of the triangle, in samples.
+        resistance: tells the sign of the back-EMF; None: it is not known.
+        spans: of the load; see :func:`_loads`.
+    """
     time_s = np.concatenate([[0.0], np.cumsum(history.interval_s)])
     current = history.current_a
     volt = history.voltage_v
@@ -93,8 +113,26 @@ def _rows(history: History, width: int, resistance: float | None) -> Array:
         result: Array = (before - middle) / left + (after - middle) / right
         return result
 
-    signals = (current, once, twice, -volt_twice, -sign_twice, -0.5 * time_s**2, volt_once)
+    loads = [
+        _integral(load_once[:-1] + 0.5 * load * history.interval_s, history)
+        for load in _loads(volt.size, spans)
+        for load_once in [_integral(load, history)]
+    ]
+    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once, *(-one for one in loads))
     return np.stack([corners(signal) for signal in signals], axis=1)
+
+
+def _loads(count: int, spans: int) -> Array:
+    """Return shapes of a load over intervals, shape (shape, count).
+
+    Args:
+        count: of the intervals.
+        spans: 0: there is no load; 1: it is constant; of more, it runs straight over each.
+    """
+    if spans < 2:
+        return np.ones((spans, count))
+    places = np.linspace(0.0, spans, count)
+    return np.asarray(np.maximum(1.0 - np.abs(places - np.arange(spans + 1.0)[:, None]), 0.0))
 
 
 def _integral(over_interval: Array, history: History) -> Array:
@@ -109,19 +147,24 @@ def _twice(current: Array, once: Array, history: History) -> Array:
     return _integral(inside, history)
 
 
-def _positive(rows: Array, *, has_load: bool) -> Array | None:
-    """Solve for (L, R, a, b, c, d), without friction where it comes out negative."""
-    *_, right = rows.T
+def _positive(rows: Array) -> Array | None:
+    """Solve for (L, R, a, b, c, d), without friction where it comes out negative.
+
+    Of a load that varies ``d`` is the mean.
+    """
+    right = rows[:, RIGHT]
+    loads = range(RIGHT + 1, rows.shape[1])
     for friction in ((3, 4), (4,), (3,), ()):
-        columns = (0, 1, 2, *friction, *((5,) if has_load else ()))
+        columns = (0, 1, 2, *friction, *loads)
         selection = rows[:, columns]
         size = np.linalg.norm(selection, axis=0)
         is_present = size > 0.0
-        answer = np.zeros(6)
+        answer = np.zeros(rows.shape[1])
         columns_of_unit_size = selection[:, is_present] / size[is_present]
         solution = np.linalg.lstsq(columns_of_unit_size, right, rcond=1e-9)[0]
         answer[np.array(columns)[is_present]] = solution / size[is_present]
-        inductance, slope, level, viscous, dry, load = answer
+        inductance, slope, level, viscous, dry = answer[:RIGHT].tolist()
+        load = float(answer[RIGHT + 1 :].mean()) if loads else 0.0
         if level <= 0.0 or slope <= 0.0:
             continue
         if viscous < 0.0 or dry < 0.0:

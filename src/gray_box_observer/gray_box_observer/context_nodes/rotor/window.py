@@ -13,9 +13,9 @@ import numpy as np
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
     LAG,
-    LOADS,
     LateReadings,
     SpeedOutput,
+    Unknowns,
     load_over_intervals,
     load_slopes,
 )
@@ -46,6 +46,9 @@ WORK_A_RUN, STEPS_A_WORK = 1000, 4
 """Work of a run, however few its samples are, and steps of the integration that are one piece of
 work; a reading is another one."""
 
+NOTHING_MORE = Unknowns()
+"""Where first states alone are free."""
+
 MOVE = 0.1
 """Share of its range by which a voltage has moved."""
 
@@ -75,27 +78,29 @@ class Window:
 
     Attributes:
         histories: in the order of time.
-        speed_output: how the measured speed is fitted as an output; None: it is not looked at.
+        unknowns: what is free in every history.
         count: newest samples that it was made of, with those of histories too short to be fitted.
     """
 
     histories: tuple[History, ...]
-    speed_output: SpeedOutput | None = None
+    unknowns: Unknowns = NOTHING_MORE
     count: int = 0
 
     @classmethod
     def from_samples(
-        cls, white_box: MotorWhiteBox, samples: Array, speed_output: SpeedOutput | None = None
+        cls, white_box: MotorWhiteBox, samples: Array, unknowns: Unknowns | None = None
     ) -> Window:
         """Cut samples where their signal history starts anew.
 
         Args:
             white_box: of the motor.
             samples: shape (signal, n), as a replay buffer gives them of one motor.
-            speed_output: how their speed is fitted; None: it is not.
+            unknowns: what is free in every history; None: its first states.
         """
+        unknowns = unknowns or NOTHING_MORE
         count = samples.shape[1]
-        signals = SPEED if speed_output is None else SPEED + 1
+        has_speed = unknowns.speed_output is not None
+        signals = SPEED + 1 if has_speed else SPEED
         finite = np.isfinite(samples[:signals]).all(axis=0)
         places = np.flatnonzero(finite)
         samples = samples[:, finite]
@@ -107,7 +112,7 @@ class Window:
                 current[begin:end],
                 samples[VOLTAGE, begin + 1 : end],
                 samples[INTERVAL, begin + 1 : end],
-                None if speed_output is None else samples[SPEED, begin:end],
+                samples[SPEED, begin:end] if has_speed else None,
                 int(places[begin]),
             )
             for begin, end in pairwise(edges)
@@ -116,7 +121,12 @@ class Window:
         if len(result) > MOST_HISTORIES:
             shortest = sorted(history.current_a.size for history in result)[-MOST_HISTORIES]
             result = [history for history in result if history.current_a.size >= shortest]
-        return cls(tuple(result[-MOST_HISTORIES:]), speed_output, count)
+        return cls(tuple(result[-MOST_HISTORIES:]), unknowns, count)
+
+    @property
+    def speed_output(self) -> SpeedOutput | None:
+        """How the measured speed is fitted as an output; None: it is not looked at."""
+        return self.unknowns.speed_output
 
     @cached_property
     def current_a(self) -> Array:
@@ -178,7 +188,7 @@ class Window:
             last.interval_s[1 - keep :],
             None if last.speed_rad_s is None else last.speed_rad_s[-keep:],
         )
-        return Window((part,), self.speed_output, keep + behind)
+        return Window((part,), self.unknowns, keep + behind)
 
     def limits(self, back_emf_constant: float) -> Array:
         """Return the states at which a run is given up, shape (state,)."""
@@ -219,12 +229,9 @@ class FreeRuns:
     @cached_property
     def _loads(self) -> tuple[Array | None, ...]:
         """Derivatives by the knots of the load, where there are any, one a history."""
-        if self.window.speed_output is None:
-            return (None,) * len(self.runs)
-        return tuple(
-            load_slopes(path, history.interval_s, start)
-            for history, path, start in self._histories()
-        )
+        load = self.window.unknowns.load
+        pairs = zip(self.window.histories, self.runs, strict=True)
+        return tuple(load_slopes(path, history.interval_s, load) for history, path in pairs)
 
     @cached_property
     def _late(self) -> tuple[LateReadings | None, ...]:
@@ -235,9 +242,6 @@ class FreeRuns:
             LateReadings.along(history.interval_s, start)
             for history, start in zip(self.window.histories, self.starts, strict=True)
         )
-
-    def _histories(self) -> Iterator[tuple[History, Run, Array]]:
-        return zip(self.window.histories, self.runs, self.starts, strict=True)
 
     def _readings(self) -> Iterator[tuple[History, Run, LateReadings | None]]:
         return zip(self.window.histories, self.runs, self._late, strict=True)
@@ -315,8 +319,8 @@ def free_runs(
         white_box: of one motor with a rotor.
         theta: shape (parameter,).
         window: the samples.
-        starts: shape (history, unknown): first states, and where the speed is an output its other
-            unknowns (:mod:`~gray_box_observer.context_nodes.rotor.history_unknowns`).
+        starts: shape (history, unknown): first states, and what else is free
+            (:mod:`~gray_box_observer.context_nodes.rotor.history_unknowns`).
         is_compiled: whether compiled code is used where there is any.
     """
     p = coordinates(white_box, theta)
@@ -325,7 +329,7 @@ def free_runs(
     torque_constant = float(white_box.torque_constant)
     runs = []
     for history, start in zip(window.histories, starts, strict=True):
-        load = load_over_intervals(start, history.interval_s)
+        load = load_over_intervals(start[window.unknowns.loads], history.interval_s)
         result = run(
             torque_constant, p, start[:STATES], history.voltage_v, history.interval_s, limits, load,
             is_compiled=is_compiled,
@@ -357,15 +361,15 @@ def _derivatives(
     """Derivatives of a history's readings, shape (reading, unknown + parameter)."""
     output = window.speed_output
     count = path.states.shape[0]
-    unknowns = STATES if output is None else output.unknowns
+    unknowns = window.unknowns.count
     outputs = 1 if output is None or late is None else len(State)
     result = np.zeros((outputs, count, unknowns + by_logarithm.shape[1]))
     result[:, :, :STATES] = path.slopes[:, :outputs, :STATES].swapaxes(0, 1)
     result[:, :, unknowns:] = path.slopes[:, :outputs, STATES:].swapaxes(0, 1) @ by_logarithm
+    if load_by_knot is not None:
+        result[:, :, window.unknowns.loads] = load_by_knot[:, :outputs].swapaxes(0, 1)
     if output is None or late is None:
         return result.reshape(count, -1)
-    if load_by_knot is not None:
-        result[:, :, LOADS.start : unknowns] = load_by_knot.swapaxes(0, 1)
     speed = late.of_signal(result[State.SPEED])
     speed[:, LAG] = late.by_lag(path.states[:, State.SPEED])
     speed *= (late.is_covered * output.unit_a_s)[:, None]
@@ -402,9 +406,7 @@ def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Arr
 def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Array:
     """First states from the back-EMF that voltage and resistance leave, (history, unknown)."""
     values = white_box.values(theta)
-    output = window.speed_output
-    unknowns = STATES if output is None else output.unknowns
-    starts = np.zeros((len(window.histories), unknowns))
+    starts = np.zeros((len(window.histories), window.unknowns.count))
     limit = window.largest_voltage_v
     for row, history in enumerate(window.histories):
         few = slice(0, FEWEST)

@@ -43,10 +43,8 @@ def start_mean(window: Window, starts: Array) -> Array:
 
 def start_precision(window: Window, start_std: Array) -> Array:
     """Return what is known of the unknowns of every history, shape (history, unknown, unknown)."""
-    output = window.speed_output
-    if output is None:
-        return np.stack([np.diag(start_std**-2.0) for _ in window.histories])
-    return np.stack([output.precision(start_std, one.interval_s) for one in window.histories])
+    unknowns = window.unknowns
+    return np.stack([unknowns.precision(start_std, one.interval_s) for one in window.histories])
 
 
 @dataclass(frozen=True, eq=False)

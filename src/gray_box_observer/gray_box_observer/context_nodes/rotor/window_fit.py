@@ -99,9 +99,7 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     """Search again from other inductances where the current settles within a few samples."""
     last = best.search
     nodes = best.search.white_box.context_nodes
-    values = dict(zip(nodes, best.fit.theta.tolist(), strict=True))
-    interval_s = last.window.interval_s
-    if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
+    if is_resolved(last.white_box, last.window, best.fit.theta):
         return
     for factor in OTHERS:
         neighbour = best.fit.logarithms.copy()
@@ -112,6 +110,19 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
             end = yield from search.run(ends)
             if end is not None:
                 ends.append(end)
+
+
+def is_resolved(white_box: MotorWhiteBox, window: Window, theta: Array) -> bool:
+    """Tell whether the current's rise takes so many samples that one inductance explains it.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: the samples.
+        theta: shape (parameter,).
+    """
+    values = dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    slowest_s = RESOLVED * window.interval_s
+    return bool(values['inductance'] > slowest_s * values.get('resistance', np.inf))
 
 
 def _size(fit: Fit) -> float:

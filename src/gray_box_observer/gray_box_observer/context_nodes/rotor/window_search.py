@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     logarithmic_curvature,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import (
     FreeRuns,
     Window,
@@ -196,7 +197,7 @@ class Search:
 
     def _total(self, residual: Array, scale: float, logarithms: Array, starts: Array) -> float:
         off = starts - start_mean(self.window, starts)
-        if self.window.speed_output is None:
+        if starts.shape[1] == STATES:
             pull = float(((off / self._start_std) ** 2).sum())
         else:
             pull = float(np.einsum('hu,huv,hv->', off, self._start_precision, off))
@@ -265,6 +266,20 @@ class Search:
         precision = equations.information + end.information + self.prior.precision
         return bool(apart @ precision @ apart < NEAR**2)
 
+    def _run_after(
+        self, logarithms: Array, starts: Array, promised_gain: float, attempt: int
+    ) -> Pieces[tuple[FreeRuns | None, Array]]:
+        """Run where a step leads; return the free runs, and what is free in their histories.
+
+        Args:
+            logarithms: shape (parameter,): there.
+            starts: shape (history, unknown): there.
+            promised_gain: of chi-square by the step, if all were straight.
+            attempt: how many steps were tried from the same place before.
+        """
+        runs = yield from self._run(logarithms, starts)
+        return runs, starts
+
     def _stepped(
         self,
         equations: Equations,
@@ -289,10 +304,11 @@ class Search:
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
-            if attempt and 2.0 * step @ right - step @ precision @ step < least_gain:
+            promised = float(2.0 * step @ right - step @ precision @ step)
+            if attempt and promised < least_gain:
                 break
             starts = self.starts + equations.start_steps(step, own)
-            runs = yield from self._run(logarithms, starts)
+            runs, starts = yield from self._run_after(logarithms, starts, promised, attempt)
             if runs is not None:
                 after = self._total(runs.residual_a, self.scale_a, logarithms, starts)
                 if after <= total + 1e-9 * abs(total):

@@ -49,7 +49,7 @@ class RotorTrainer:
         if residual and not job.get('residual_anew'):
             self._residual.restore(residual)
         answer: Message = {'windows': 0, 'settled': True}
-        if job.get('residual'):
+        if job.get('residual') and not self._white_box.load_varies:
             physics = partial(rotor_run, self._white_box, np.asarray(job['theta'])[0])
             answer |= self._residual.learn_beside(physics, histories(self._white_box, job))
         state = {f'residual_{name}': array for name, array in self._residual.state().items()}

@@ -1,0 +1,76 @@
+"""What windows of samples tell of a motor whose load varies and whose speed nobody measures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.rotor.loaded_fit import LoadedFit, fit_loaded
+from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_learner import (
+    FEWEST_MOVES,
+    SHARP,
+    WindowLearner,
+)
+from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
+from gray_box_observer.white_box.interface import Array
+
+
+class LoadedLearner(WindowLearner):
+    """Context nodes of one motor with a rotor and a load that varies.
+
+    Attributes:
+        walk: variance that the load gains in a second, in (rad/s2)^2/s; 0: not known.
+    """
+
+    walk = 0.0
+    _newest_fit: LoadedFit | None = None  # of the fit under way
+
+    def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
+        """Fit a window; see :meth:`WindowLearner.learn`."""
+        has_fit = yield from super().learn(window, is_full=is_full)
+        if has_fit and self._newest_fit is not None:
+            self.walk = self._newest_fit.walk
+        return has_fit
+
+    def _fitted(
+        self, window: Window, prior: LogPrior, starts: Sequence[Array]
+    ) -> Pieces[Fit | None]:
+        return self._noted((yield from fit_loaded(self._white_box, window, prior, starts)))
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        starts = [self.theta, *weak_starts(self._white_box, window)]
+        prior = self._prior()
+        fit = yield from fit_loaded(self._white_box, window, prior, starts, self.walk)
+        return self._noted(fit)
+
+    def _noted(self, fit: LoadedFit | None) -> Fit | None:
+        self._newest_fit = fit
+        return None if fit is None else fit.fit
+
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether other motors than the one found might explain the samples."""
+        if self.memory is not None:
+            return False
+        fit = self._newest_fit
+        return fit is None or fit.inertia_std > SHARP or window.moves < FEWEST_MOVES
+
+    def arrays(self) -> dict[str, Array]:
+        """Return what a checkpoint holds of it, beside flags."""
+        return super().arrays() | {'walk': np.array([self.walk])}
+
+    def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back arrays that :meth:`check` lets pass, and flags."""
+        super().restore(plain, arrays)
+        self.walk = float(arrays['walk'][0])
+        self._newest_fit = None
+
+    def check(self, arrays: Mapping[str, Array]) -> None:
+        """Refuse arrays that could not have been learnt; see :meth:`WindowLearner.check`."""
+        super().check(arrays)
+        check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})

@@ -1,0 +1,150 @@
+"""A rotor whose load varies, its speed unmeasured: L and R are told, the rotor is left open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rotor_motors import BOX, INITIAL, KB, KT, NODES, THETA, samples_of
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.context_nodes import RotorUpdate, Verdict
+from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.load_walk import with_load
+from gray_box_observer.context_nodes.rotor.loaded_fit import fit_loaded, loaded_current
+from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+
+VARYING = replace(BOX, load_varies=True)
+NOISE_NM = 3e-4
+LOAD_STEP_NM = 5e-4
+"""Standard deviation by which the load moves in a sample."""
+
+VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(INITIAL.size) / 25.0)
+
+
+@cache
+def loaded(samples: int = 3000, seed: int = 1) -> Recording:
+    """A gear motor whose load walks at random, up to a fifth of the stall torque."""
+    inductance, resistance, inertia, viscous, coulomb = THETA.tolist()
+    plant = PlantParameters(
+        inductance=inductance, resistance=resistance, hysteresis=0.0, torque_constant=KT,
+        back_emf_constant=KB, inertia=inertia, viscous_friction=viscous, coulomb_friction=coulomb,
+    )  # fmt: skip
+    simulation = Simulation(
+        {'motor': plant}, 'R[-12,12]D[0.05,0.5]', seed=seed, speed_mode='rotor',
+        sample_rate_hz=1000.0, torque_noise_std=NOISE_NM,
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    load_nm = 0.0
+    taken = []
+    for _ in range(samples):
+        load_nm = float(np.clip(load_nm + LOAD_STEP_NM * rng.standard_normal(), -0.024, 0.024))
+        simulation.set_parameters({'motor': replace(plant, load_torque=load_nm)})
+        taken.append(simulation.step())
+    names = ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
+    signals = (np.stack([getattr(one, name) for one in taken], axis=1) for name in names)
+    return Recording(('motor',), np.array([one.stamp_ns for one in taken]), *signals)
+
+
+def signals_of(samples: list[Sample]) -> np.ndarray:
+    """Interval, voltage and torque, shape (signal, n)."""
+    rows = [(one.interval_s, one.voltage_v, one.torque_nm) for one in samples]
+    return np.array(rows)[:, :, 0].T
+
+
+def learnt(box: MotorWhiteBox, samples: list[Sample]) -> RotorUpdate:
+    """The rule after some samples."""
+    update = RotorUpdate(box, INITIAL)
+    for sample in samples:
+        update.learn(sample)
+    return update
+
+
+@pytest.mark.slow
+def test_resistance_and_inductance_are_right_and_the_rotor_is_left_open() -> None:
+    estimate = learnt(VARYING, samples_of(loaded())).estimate()
+    z = (estimate.value[0] - THETA) / estimate.std[0]
+    assert np.abs(z).max() < 4.0
+    assert estimate.verdicts[0][:2] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+    np.testing.assert_allclose(estimate.value[0, :2], THETA[:2], rtol=0.02)
+    known = {Verdict.IDENTIFIED, Verdict.NEGLIGIBLE}
+    assert known.isdisjoint(estimate.verdicts[0][2:])
+
+
+@pytest.mark.slow
+def test_a_search_ends_at_the_same_motor_from_wherever_it_begins() -> None:
+    window = Window.from_samples(VARYING, signals_of(samples_of(loaded())[:1024]))
+    ends = []
+    for factor in (0.4, 1.0, 2.5):
+        start = THETA * np.array([factor, 1.0 / factor, factor, 1.0, 1.0])
+        fit = completed(fit_loaded(VARYING, window, VAGUE, [start]))
+        assert fit is not None
+        ends.append(fit.fit.theta[:2])
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0.01)
+    np.testing.assert_allclose(ends[2], ends[1], rtol=0.01)
+    np.testing.assert_allclose(ends[1], THETA[:2], rtol=0.03)
+
+
+def test_a_held_voltage_claims_nothing() -> None:
+    held = [
+        Sample.of_one_motor(k * 1_000_000, 0.0 if k == 0 else 1e-3, 6.0, 0.01) for k in range(600)
+    ]
+    assert set(learnt(VARYING, held).estimate().verdicts[0]) == {Verdict.UNEXCITED}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('cut', [700, 2300])
+def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
+    samples = samples_of(loaded())
+    one = learnt(VARYING, samples[:cut])
+    plain, arrays = one.state()
+    other = RotorUpdate(VARYING, INITIAL)
+    other.restore(plain, {name: array.copy() for name, array in arrays.items()})
+    for sample in samples[cut:]:
+        one.learn(sample)
+        other.learn(sample)
+    assert one.theta.tobytes() == other.theta.tobytes()
+    assert one.estimate().covariance.tobytes() == other.estimate().covariance.tobytes()
+
+
+def test_a_walk_that_no_load_can_have_is_refused() -> None:
+    plain, arrays = learnt(VARYING, samples_of(loaded())[:140]).state()
+    with pytest.raises(CheckpointError, match='walk'):
+        RotorUpdate(VARYING, INITIAL).restore(plain, arrays | {'walk': np.array([-1.0])})
+    with pytest.raises(CheckpointError, match='walk'):
+        RotorUpdate(VARYING, INITIAL).restore(
+            plain, {name: array for name, array in arrays.items() if name != 'walk'}
+        )
+
+
+def test_long_histories_are_cut_and_no_reading_is_lost() -> None:
+    window = Window.from_samples(VARYING, signals_of(samples_of(loaded())))
+    laid = with_load(window, 1.0)
+    assert len(laid.histories) > 1
+    np.testing.assert_array_equal(laid.current_a, window.current_a)
+    places = [history.place for history in laid.histories]
+    assert places == [0, *np.cumsum([one.current_a.size for one in laid.histories])[:-1]]
+
+
+def test_the_whole_run_takes_the_load_that_explains_it() -> None:
+    signals = signals_of(samples_of(loaded())[:1500])
+    current = signals[2] / KT
+    residual = current - loaded_current(VARYING, THETA, signals)
+    assert np.std(residual) == pytest.approx(NOISE_NM / KT, rel=0.1)
+    np.testing.assert_array_equal(loaded_current(VARYING, THETA, signals[:, :1]), current[:1])
+
+
+def test_a_load_varies_on_a_rotor_alone_and_is_told_to_other_processes() -> None:
+    assert MotorWhiteBox.from_dict(VARYING.to_dict()) == replace(
+        VARYING, torque_constant=np.asarray(KT), known={'back_emf_constant': np.asarray(KB)}
+    )
+    assert 'load_varies' not in BOX.to_dict()
+    with pytest.raises(ConfigurationError, match='inertia'):
+        MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}, load_varies=True)
