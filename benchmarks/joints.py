@@ -21,6 +21,9 @@ from common.trust.trial import LONGEST_FALSE_S, RELATIVE, Trial, run_trial
 JOINTS = 150
 QUICK_JOINTS = 6
 
+FOUND = {'load_torque': 'load', 'quadratic_friction': 'fan', 'varying_load': 'varying load'}
+"""Effects that data may add, and what the table calls them."""
+
 
 @dataclass(frozen=True)
 class JointTrial:
@@ -74,8 +77,7 @@ def rows(trials: Sequence[JointTrial]) -> list[list[str]]:
                 len(own),
                 sum(t.is_known for t in own),
                 sum(t.is_near for t in own),
-                sum('load_torque' in t.trial.values for t in own),
-                sum('quadratic_friction' in t.trial.values for t in own),
+                *(sum(name in t.trial.effects for t in own) for name in FOUND),
                 sum(t.trial.is_misfit for t in own),
                 sum(t.is_false for t in own),
                 sum(t.is_false_on_the_way for t in own),
@@ -122,7 +124,8 @@ def main() -> int:
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = pool.map(try_joint, seeds)
         trials = list(progress_bar(jobs, total=count, unit='joint'))
-    header = ['joints', 'all', 'R known', 'R within 2 %', 'load', 'fan', 'misfit', 'false', '> 1 s']
+    columns = ['all', 'R known', 'R within 2 %', *FOUND.values(), 'misfit', 'false', '> 1 s']
+    header = ['joints', *columns]
     print(table(header, rows(trials)), end='\n\n')
     for trial in trials:
         errors = ', '.join(

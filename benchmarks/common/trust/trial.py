@@ -57,6 +57,7 @@ class Trial:
             time.
         right_shares: share of the record in which each parameter was known and right.
         fit: what the result says of the fit; empty where it says nothing.
+        effects: that the data have added.
         warnings: what the user is told.
         cost_ms: mean CPU time of the first FIRST_SAMPLES samples.
         cost_share: the same over that of a fixed piece of work along these.
@@ -81,6 +82,7 @@ class Trial:
     identified_s: dict[str, float] = field(default_factory=dict)
     right_shares: dict[str, float] = field(default_factory=dict)
     fit: dict[str, Any] = field(default_factory=dict)
+    effects: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     cost_ms: float = math.nan
     cost_share: float = math.nan
@@ -218,6 +220,7 @@ def run_trial(record: Record) -> Trial:
                 _judge(record, estimates[MOTOR], watch, trial)
                 result = describe(outcome)
                 trial.fit = dict(result['motors'][MOTOR].get('fit') or {})
+                trial.effects = list(result['motors'][MOTOR].get('effects') or [])
                 json.dumps(result, allow_nan=False)  # as `identify --json` does
     except Exception:  # whatever it is, it is what the benchmark looks for
         trial.failure = traceback.format_exc(limit=-3)

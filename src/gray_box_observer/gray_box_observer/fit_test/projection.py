@@ -87,6 +87,18 @@ class Projection:
         part: Array = (signals @ self._q) @ self._q.T
         return np.subtract(signals, part, out=part)
 
+    def correlations_of_white(self, lags: int) -> Array:
+        """Return the correlations of white noise of which the columns were taken off, (lag,).
+
+        Many columns leave neighbours that differ: each takes off what is alike in them.
+
+        Args:
+            lags: up to which.
+        """
+        taken = [float(np.sum(self._q[lag:] * self._q[:-lag])) for lag in range(1, lags + 1)]
+        left_count = max(self._q.shape[0] - self._q.shape[1], 1)
+        return np.asarray(-np.array(taken) / left_count, dtype=float)
+
     def shift(self, signal: Array) -> Array:
         """Return the response of the log-parameters to a misread signal, with weight.
 

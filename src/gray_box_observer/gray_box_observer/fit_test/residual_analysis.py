@@ -177,8 +177,14 @@ def _moving_noise(residual: Array, readings: Array) -> float:
     )
 
 
-def ljung_box(residual: Array, lags: int = LAGS) -> float:
-    """Return the Ljung-Box statistic over its degrees of freedom; about 1 for white noise."""
+def ljung_box(residual: Array, lags: int = LAGS, of_white: Array | float = 0.0) -> float:
+    """Return the Ljung-Box statistic over its degrees of freedom; about 1 for white noise.
+
+    Args:
+        residual: shape (sample,).
+        lags: up to which correlations count.
+        of_white: shape (lag,): correlations that white noise would have here.
+    """
     count = residual.size
     deviation = residual - residual.mean()
     power = float(deviation @ deviation)
@@ -188,7 +194,7 @@ def ljung_box(residual: Array, lags: int = LAGS) -> float:
         np.array([float(deviation[lag:] @ deviation[:-lag]) for lag in range(1, lags + 1)]) / power
     )
     weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
-    return float(weights @ correlations**2) / lags
+    return float(weights @ (correlations - of_white) ** 2) / lags
 
 
 def analyse(
@@ -247,9 +253,11 @@ def analysis_in_pieces(
     yield 0
     projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
     yield work
-    residual = projection.remainder if is_drifting else projection.residual
+    has_load = white_box.load_varies
+    residual = projection.remainder if is_drifting or has_load else projection.residual
     size_a = math.sqrt(float(residual @ residual) / residual.size)
-    whiteness = ljung_box(residual) if size_a > least_a else 1.0
+    of_white = projection.correlations_of_white(LAGS) if has_load else 0.0
+    whiteness = ljung_box(residual, of_white=of_white) if size_a > least_a else 1.0
     late_remainder = None
     if white_box.has_rotor and whiteness > COLOURED_ROTOR:
         late_remainder = projection.without(projection.with_weight(run.residual_a))

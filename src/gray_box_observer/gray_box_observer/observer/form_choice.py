@@ -22,7 +22,7 @@ from gray_box_observer.fit_test.effects import CHANGE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
-    MOST_CANDIDATES,
+    FEW_CANDIDATES,
     NEWEST,
     FormTrial,
     TrialOutcome,
@@ -324,9 +324,10 @@ class FormChoice:
         others = []
         if plain is not None and plain not in different and self.may_take(plain):
             others.append(plain)
-        others += [kind for kind in self._with_varying_load(plain) if self.may_take(kind)]
-        room = MOST_CANDIDATES - len(different) - len(others)
-        return (*different, *self._with_loads(different, room), *others)[:MOST_CANDIDATES]
+        room = FEW_CANDIDATES - len(different) - len(others)
+        described = (*different, *self._with_loads(different, room), *others)[:FEW_CANDIDATES]
+        last = [kind for kind in self._with_varying_load(plain) if self.may_take(kind)]
+        return (*described, *last)
 
     def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
         """Return a rotor with a load that varies: it explains most, and is asked last.

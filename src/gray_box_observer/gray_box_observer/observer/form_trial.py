@@ -48,8 +48,10 @@ LOOKS = (512, 1024)
 """Newest samples of them that are tried first: what explains not even these is given up at a
 fraction of the cost."""
 
-MOST_CANDIDATES = 4
-"""Forms that one trial compares, at most."""
+FEW_CANDIDATES = 4
+"""Forms that one trial compares, at most, beside one with a load that varies."""
+
+MOST_CANDIDATES = FEW_CANDIDATES + 1
 
 FEWEST_MOVES = 3
 """Moves of the voltage from which a rotor, or an effect, can be told."""

@@ -89,6 +89,10 @@ class WhiteBox(Protocol):
     def has_rotor(self) -> bool:
         """Whether the speed is a state of its own, which nobody measures."""
 
+    @property
+    def load_varies(self) -> bool:
+        """Whether a load acts on the rotor that no term describes."""
+
     def of_motors(self, index: Any) -> WhiteBox:
         """Return the white box of the chosen motors, in the order of ``index``."""
 

@@ -212,25 +212,25 @@ def _opened(white_box: MotorWhiteBox, fit: Fit, spread: Array) -> LoadedFit:
     """
     nodes = white_box.context_nodes
     rotor = [place for place, name in enumerate(nodes) if TERMS[name].state is State.SPEED]
-    values = white_box.values(fit.theta - white_box.known_parts)
+    values = white_box.values(fit.theta)
     rotor_nodes = [nodes[place] for place in rotor]
     of_load = load_spread(rotor_nodes, values, fit.runs, float(white_box.torque_constant))
     least = np.diag(np.maximum(of_load, LEAST_SPREAD) ** -2.0)
-    told = fit.information[np.ix_(rotor, rotor)] + least
+    of_rotor = fit.information[np.ix_(rotor, rotor)] + least
     across = fit.information[rotor]
-    information = fit.information - across.T @ shortest_solution(told, across)
+    information = fit.information - across.T @ shortest_solution(of_rotor, across)
     place = nodes.index('inertia')
     variance = np.linalg.pinv(fit.information, hermitian=True)[place, place]
     open_std = np.zeros(len(nodes))
     if not is_resolved(white_box, fit.runs.window, fit.theta):
         open_std[nodes.index('inductance')] = UNRESOLVED
-    opened = replace(
+    open_fit = replace(
         fit,
         information=0.5 * (information + information.T),
         spread=spread + np.diag(open_std**2),
     )
     return LoadedFit(
-        opened,
+        open_fit,
         _load_of(fit).walk,
         math.sqrt(max(float(variance), 0.0)),
     )

@@ -30,9 +30,11 @@ seen begins: from nothing no search would find its way."""
 
 LOAD = 'load_torque'
 
-VARYING, FEW_WIDTHS = 16, (2, 8, 25)
-"""Straight lines of a load that varies, and the widths that are tried beside one: there a start
-costs more."""
+SPANS = 16
+"""Straight lines of a load that varies."""
+
+FEW_WIDTHS = (2, 8, 25)
+"""The widths that are tried beside one: there a start costs more."""
 
 RIGHT = 5
 """Column of a row's right-hand side."""
@@ -48,7 +50,7 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
         white_box: of one motor with a rotor.
         window: the samples.
     """
-    spans = VARYING if white_box.load_varies else int(LOAD in white_box.context_nodes)
+    spans = SPANS if white_box.load_varies else int(LOAD in white_box.context_nodes)
     with np.errstate(all='ignore'):
         for width in FEW_WIDTHS if white_box.load_varies else WIDTHS:
             solution = _solved(window, width, spans)

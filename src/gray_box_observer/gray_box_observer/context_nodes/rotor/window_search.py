@@ -304,11 +304,11 @@ class Search:
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
-            promised = float(2.0 * step @ right - step @ precision @ step)
-            if attempt and promised < least_gain:
+            promised_gain = float(2.0 * step @ right - step @ precision @ step)
+            if attempt and promised_gain < least_gain:
                 break
             starts = self.starts + equations.start_steps(step, own)
-            runs, starts = yield from self._run_after(logarithms, starts, promised, attempt)
+            runs, starts = yield from self._run_after(logarithms, starts, promised_gain, attempt)
             if runs is not None:
                 after = self._total(runs.residual_a, self.scale_a, logarithms, starts)
                 if after <= total + 1e-9 * abs(total):
