@@ -13,10 +13,13 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 from gray_box_observer.context_nodes.pieces import completed
-from gray_box_observer.context_nodes.rotor.load_walk import with_load
-from gray_box_observer.context_nodes.rotor.loaded_fit import fit_loaded, loaded_current
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.load_walk import knot_count, with_load
+from gray_box_observer.context_nodes.rotor.loaded_fit import fit_loaded, loaded_current, loaded_runs
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import is_resolved
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -139,6 +142,64 @@ def test_the_whole_run_takes_the_load_that_explains_it() -> None:
     residual = current - loaded_current(VARYING, THETA, signals)
     assert np.std(residual) == pytest.approx(NOISE_NM / KT, rel=0.1)
     np.testing.assert_array_equal(loaded_current(VARYING, THETA, signals[:, :1]), current[:1])
+
+
+def test_a_part_without_voltage_coasts_on() -> None:
+    """Its speed is bounded by the voltages of the whole window, not by those of the part."""
+    inertia = 1e-3
+    theta = THETA * np.array([1.0, 1.0, inertia / THETA[2], 1.0, 1.0])
+    count = 4000
+    volts = np.where(np.arange(count) < 1000, 12.0, 0.0)
+    motion = run(
+        KT, coordinates(BOX, theta), np.zeros(2), volts[1:], np.full(count - 1, 1e-3),
+        np.array([1e3, 1e5]),
+    )  # fmt: skip
+    signals = np.zeros((3, count))
+    signals[0, 1:] = 1e-3
+    signals[1, 1:] = volts[1:]
+    signals[2] = KT * motion.states[:, 0] + NOISE_NM * np.random.default_rng(1).normal(size=count)
+    residual = signals[2] / KT - loaded_current(VARYING, theta, signals)
+    assert np.std(residual) == pytest.approx(NOISE_NM / KT, rel=0.1)
+
+
+@pytest.mark.slow
+def test_of_a_known_resistance_the_inductance_is_told() -> None:
+    nodes = tuple(node for node in NODES if node != 'resistance')
+    box = MotorWhiteBox(nodes, KT, {'back_emf_constant': KB, 'resistance': 1.0}, load_varies=True)
+    theta = np.delete(THETA, 1)
+    assert is_resolved(box, Window.from_samples(box, signals_of(samples_of(loaded())[:600])), theta)
+
+
+def test_histories_too_short_for_knots_are_left_out() -> None:
+    samples = samples_of(loaded())[:1000]
+    samples = [one.beginning() if k % 40 == 0 else one for k, one in enumerate(samples[:600])] + [
+        samples[600].beginning(), *samples[601:]
+    ]  # fmt: skip
+    laid = with_load(Window.from_samples(VARYING, signals_of(samples)), 1.0)
+    assert [history.current_a.size for history in laid.histories] == [400]
+    short = with_load(Window.from_samples(VARYING, signals_of(samples[:600])), 1.0)
+    assert short.histories == ()
+    assert knot_count(Window.from_samples(VARYING, signals_of(samples[:600]))) == 0
+    assert completed(loaded_runs(VARYING, THETA, short)) is None
+
+
+@pytest.mark.slow
+def test_a_gap_every_few_samples_claims_nothing() -> None:
+    samples = [
+        one.beginning() if k % 40 == 0 else one for k, one in enumerate(samples_of(loaded()))
+    ]
+    verdicts = learnt(VARYING, samples).estimate().verdicts[0]
+    assert {Verdict.IDENTIFIED, Verdict.NEGLIGIBLE}.isdisjoint(verdicts)
+
+
+@pytest.mark.slow
+def test_what_a_load_may_have_done_stays_open_window_after_window() -> None:
+    update = learnt(VARYING, samples_of(loaded(9000)))
+    theta = update.theta[0]
+    std = update.estimate().std[0] / theta
+    assert std[0] >= 0.015
+    assert std[1] >= 0.005
+    assert (std[2:] > 0.05).all()
 
 
 def test_a_load_varies_on_a_rotor_alone_and_is_told_to_other_processes() -> None:

@@ -31,7 +31,7 @@ from gray_box_observer.fit_test.policy import (
     WHITENESS_WARNING,
     judge,
 )
-from gray_box_observer.fit_test.projection import bandwidth, long_run_covariance
+from gray_box_observer.fit_test.projection import Projection, bandwidth, long_run_covariance
 from gray_box_observer.fit_test.residual_analysis import LAGS, analyse, ljung_box
 
 SAMPLES = 4000
@@ -217,6 +217,23 @@ def test_quantised_readings_do_not_look_free_of_noise() -> None:
 def test_the_ljung_box_statistic_is_about_one_for_white_noise() -> None:
     values = [ljung_box(noise(2000, 1.0, seed)) for seed in range(50)]
     assert np.mean(values) == pytest.approx(1.0, abs=0.15)
+
+
+def test_correlations_that_many_columns_leave_are_no_colour() -> None:
+    """Hats on 128 knots take off what neighbours of white noise have in common."""
+    count = 2000
+    knots = 128
+    places = np.linspace(0.0, knots - 1.0, count)
+    hats = np.maximum(1.0 - np.abs(places[:, None] - np.arange(knots)), 0.0)
+    raw = []
+    mended = []
+    for seed in range(20):
+        projection = Projection(hats, noise(count, 1.0, seed), np.ones(count), 2)
+        raw.append(ljung_box(projection.remainder))
+        of_white = projection.correlations_of_white(LAGS)
+        mended.append(ljung_box(projection.remainder, of_white=of_white))
+    assert np.mean(raw) > 2.0
+    assert np.mean(mended) == pytest.approx(1.0, abs=0.3)
 
 
 def test_three_deviations_of_a_covariance_from_few_periods_hold_what_three_should() -> None:

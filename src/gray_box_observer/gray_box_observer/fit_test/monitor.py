@@ -17,7 +17,6 @@ from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment
 from gray_box_observer.fit_test.estimate_limit import EstimateLimit
-from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
@@ -89,7 +88,7 @@ class FitMonitor:
         """
         subject = self._begin(nodes, estimate, motor, delay)
         test = self._tests[motor]
-        count = subject.count(WINDOW)
+        count = subject.count(test.most)
         if count < test.fewest:
             self.schedule.put_off(motor, subject.place + test.fewest - count)
             return None

@@ -95,9 +95,9 @@ class Projection:
         Args:
             lags: up to which.
         """
-        taken = [float(np.sum(self._q[lag:] * self._q[:-lag])) for lag in range(1, lags + 1)]
+        sums = [float(np.sum(self._q[lag:] * self._q[:-lag])) for lag in range(1, lags + 1)]
         left_count = max(self._q.shape[0] - self._q.shape[1], 1)
-        return np.asarray(-np.array(taken) / left_count, dtype=float)
+        return np.asarray(-np.array(sums) / left_count, dtype=float)
 
     def shift(self, signal: Array) -> Array:
         """Return the response of the log-parameters to a misread signal, with weight.

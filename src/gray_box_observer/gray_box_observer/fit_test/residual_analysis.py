@@ -73,6 +73,9 @@ LIKELY = 10.0
 COLOURED = 3.0
 """Whiteness from which correlated residuals are taken into the covariance of the parameters."""
 
+WORK_OF_COLUMNS = 1000
+"""Products of numbers that are one piece of work."""
+
 COLOURED_ROTOR = 25.0
 """Whiteness from which a rotor's delays and lags are asked for in every shape that they have: its
 fit leaves out, as outliers, the samples behind a step that would show them."""
@@ -252,10 +255,11 @@ def analysis_in_pieces(
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
     yield 0
     projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
-    yield work
+    yield max(work, base.shape[0] * base.shape[1] ** 2 // WORK_OF_COLUMNS)
     has_load = white_box.load_varies
     residual = projection.remainder if is_drifting or has_load else projection.residual
-    size_a = math.sqrt(float(residual @ residual) / residual.size)
+    freedom = max(residual.size - base.shape[1], 1) if has_load else residual.size
+    size_a = math.sqrt(float(residual @ residual) / freedom)
     of_white = projection.correlations_of_white(LAGS) if has_load else 0.0
     whiteness = ljung_box(residual, of_white=of_white) if size_a > least_a else 1.0
     late_remainder = None

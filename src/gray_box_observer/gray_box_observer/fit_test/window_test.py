@@ -80,6 +80,9 @@ show."""
 FEWEST_WITH_SPEED = 32
 """The same where the speed is measured."""
 
+MOST_LOADED = 2048
+"""Samples of which a test is made where a load varies: the work grows with its knots, too."""
+
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
 """Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
 small residual; else the free run is asked."""
@@ -236,6 +239,11 @@ class WindowTest:
     def fewest(self) -> int:
         """Samples of which a test tells something."""
         return FEWEST_WITH_SPEED if self.white_box.speed_measured else FEWEST
+
+    @property
+    def most(self) -> int:
+        """Samples of which a test is made at most."""
+        return MOST_LOADED if self.white_box.load_varies else WINDOW
 
     @property
     def _knows_speed(self) -> bool:

@@ -325,9 +325,9 @@ class FormChoice:
         if plain is not None and plain not in different and self.may_take(plain):
             others.append(plain)
         room = FEW_CANDIDATES - len(different) - len(others)
-        described = (*different, *self._with_loads(different, room), *others)[:FEW_CANDIDATES]
+        usual_kinds = (*different, *self._with_loads(different, room), *others)[:FEW_CANDIDATES]
         last = [kind for kind in self._with_varying_load(plain) if self.may_take(kind)]
-        return (*described, *last)
+        return (*usual_kinds, *last)
 
     def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
         """Return a rotor with a load that varies: it explains most, and is asked last.

@@ -20,7 +20,7 @@ from gray_box_observer.context_nodes.pieces import (
     WorkBudget,
     bounded,
 )
-from gray_box_observer.context_nodes.rotor.load_walk import MOST_KNOTS, SAMPLES_A_KNOT
+from gray_box_observer.context_nodes.rotor.load_walk import knot_count
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -326,7 +326,8 @@ class FormTrial:
             return -math.inf
         parameters = len(fit.estimate.parameters) - self._start.parameters
         if VARYING_LOAD in fit.kind.effects:
-            parameters += min(count // SAMPLES_A_KNOT, MOST_KNOTS)
+            samples = fit.form.driven(self._start.content)[:, 0]
+            parameters += knot_count(Window.from_samples(fit.form.white_box, samples))
         cost = 0.5 * parameters * math.log(count)
         return log_likelihood(count, before_a, left_a) - cost
 
@@ -480,7 +481,9 @@ def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:
 def _is_told(fit: FormFit) -> bool:
     """Tell whether the data tell what a form stands on: beside a load that varies R alone."""
     estimate = fit.estimate
-    decisive = (_RESISTANCE,) if VARYING_LOAD in fit.kind.effects else _DECISIVE
+    decisive: tuple[str, ...] = _DECISIVE
+    if VARYING_LOAD in fit.kind.effects and fit.form.white_box.context_nodes.count(_RESISTANCE):
+        decisive = (_RESISTANCE,)
     return all(
         estimate.std[0, j] < LARGEST_STD * estimate.value[0, j]
         for j, parameter in enumerate(estimate.parameters)

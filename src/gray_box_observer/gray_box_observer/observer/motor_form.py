@@ -21,6 +21,7 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
@@ -259,5 +260,8 @@ def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: 
         content: shape (signal, 1, n): samples, as a replay buffer gives them.
     """
     stretch = SampleWindow.of_content(white_box, np.ascontiguousarray(content))
+    if white_box.load_varies:  # its analysis costs too much to be done at once
+        run = rotor_free_run(white_box, to_coordinates(context_nodes.theta), stretch)
+        return float(np.sqrt(np.mean(run.residual_a**2)))
     analysis = analyse(white_box, to_coordinates(context_nodes.theta), stretch)
     return analysis.ratio * analysis.floor_a

@@ -43,6 +43,6 @@ class OpenForms:
         is_once = len(set(effects)) == len(effects)
         if DEAD_ZONE in effects and CURRENT_LAG in effects:  # what the zone takes lags, too
             return False
-        if LOAD_TORQUE in effects and VARYING_LOAD in effects:  # it has a constant part, too
-            return False
+        if VARYING_LOAD in effects and (LOAD_TORQUE in effects or CURRENT_LAG in effects):
+            return False  # it has a constant part, too, and may look like anything that is slow
         return can_act and zone_is_known and lag_is_known and is_once

@@ -160,6 +160,7 @@ class RotorPredictor(TorquePredictor):
             self._largest_v = max(self._largest_v, volt)
         if anew[0]:
             states = None
+            self._load_rad_s2 = None
             self._wait_count = 0
         elif states is None or self._white_box.load_varies:
             states = self._begun(sample, speed)

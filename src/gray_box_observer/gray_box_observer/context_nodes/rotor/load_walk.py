@@ -34,6 +34,9 @@ FEWEST_SAMPLES_A_KNOT, SECONDS_A_KNOT = 16, 0.04
 KNOTS_A_HISTORY = 32
 """The longest course of a load there: work grows as the square of its knots."""
 
+SHORTEST = 0.5
+"""Share of the longest history that another one lasts there at least: all have as many knots."""
+
 FIRST_LOAD = 0.1
 """Share of the stalled motor's torque by which a load is first taken to vary within a second."""
 
@@ -62,16 +65,35 @@ def load_over(window: Window, walk: float, samples_a_knot: int = SAMPLES_A_KNOT)
 def with_load(window: Window, walk: float) -> Window:
     """Lay a load over a window without speed, whose histories are cut where they are long.
 
+    Histories that are too short for the knots are left out; none may be left.
+
     Args:
         window: the samples.
         walk: variance that it gains in a second, in (rad/s2)^2/s.
     """
+    if not window.histories:
+        return window
     samples_a_knot = round(SECONDS_A_KNOT / max(window.interval_s, 1e-9))
     samples_a_knot = min(max(samples_a_knot, FEWEST_SAMPLES_A_KNOT), SAMPLES_A_KNOT)
     longest = KNOTS_A_HISTORY * samples_a_knot
     parts = [part for history in window.histories for part in _parts(history, longest)]
+    sizes = [part.current_a.size for part in parts]
+    least = max(SHORTEST * max(sizes, default=0), FEWEST_KNOTS * samples_a_knot)
+    parts = [part for part, size in zip(parts, sizes, strict=True) if size >= least]
+    if not parts:
+        return replace(window, histories=())
     window = replace(window, histories=tuple(parts))
     return replace(window, unknowns=Unknowns(load=load_over(window, walk, samples_a_knot)))
+
+
+def knot_count(window: Window) -> int:
+    """Return how many knots a load has over a window without speed.
+
+    Args:
+        window: the samples.
+    """
+    laid = with_load(window, 1.0)
+    return 0 if laid.unknowns.load is None else laid.unknowns.load.knots * len(laid.histories)
 
 
 def _parts(history: History, longest: int) -> list[History]:

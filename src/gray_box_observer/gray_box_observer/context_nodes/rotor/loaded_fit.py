@@ -31,18 +31,23 @@ from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, History, Window
 from gray_box_observer.context_nodes.rotor.window_fit import DISTINCT, RIVAL, is_resolved
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
-PROMISING = 2
+SEARCHED_STARTS = 2
 """Starts that are searched from, of all that are tried."""
 
-LOOSE = 100.0
+EXPLAINING_WALK = 100.0
 """Times the walk that a fit begins with, where it is asked what a load may explain."""
 
-UNRESOLVED = 0.5
+ROUGH = {'resistance': 0.005, 'inductance': 0.015}
+"""Standard deviations of logarithms that a load leaves which is no random walk: a friction that
+gives before it breaks, a load that jumps between knots."""
+
+UNRESOLVED = 0.25
 """Standard deviation of the inductance's logarithm where the current settles within a few samples:
 a load may take what others would explain."""
 
@@ -58,11 +63,14 @@ class LoadedFit:
         fit: of the parameters; what it tells of the rotor is opened by what the load may have done.
         walk: variance that the load gains in a second, in (rad/s2)^2/s.
         inertia_std: of its logarithm, before it was opened.
+        open_std: shape (parameter,): of the logarithms, by what load and friction may have done.
+            It is the same in window after window, so it is in every estimate whole.
     """
 
     fit: Fit
     walk: float
     inertia_std: float
+    open_std: Array
 
 
 def fit_loaded(
@@ -85,6 +93,8 @@ def fit_loaded(
         walk: variance that the load has gained in a second before; 0: not known.
     """
     fits = []
+    if not with_load(window, 1.0).histories:
+        return None
     for search in (yield from _promising(white_box, window, prior, starts, walk)):
         fit = yield from _settled(search)
         if fit is not None:
@@ -106,8 +116,11 @@ def loaded_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Piece
         window: the samples.
     """
     nothing = LogPrior(np.log(theta), np.zeros((theta.size, theta.size)))
-    walk = LOOSE * first_walk(white_box, window, theta)
-    search = LoadedSearch(white_box, with_load(window, walk), nothing, nothing.mean)
+    walk = EXPLAINING_WALK * first_walk(white_box, window, theta)
+    loaded_window = with_load(window, walk)
+    if not loaded_window.histories:
+        return None
+    search = LoadedSearch(white_box, loaded_window, nothing, nothing.mean)
     yield from search.settle()
     return search.runs
 
@@ -146,14 +159,15 @@ def _promising(
 ) -> Pieces[list[LoadedSearch]]:
     """Return searches from the starts that explain most before anything is searched."""
     searches = []
+    walks = [walk or first_walk(white_box, window, start) for start in starts]
+    loaded_window = with_load(window, float(median(np.array(walks))))
     for start in starts:
-        own_walk = walk or first_walk(white_box, window, start)
-        search = LoadedSearch(white_box, with_load(window, own_walk), prior, np.log(start))
+        search = LoadedSearch(white_box, loaded_window, prior, np.log(start))
         yield from search.settle()
         if search.is_valid:
             searches.append(search)
     searches.sort(key=lambda search: search.scale_a)
-    return searches[:PROMISING]
+    return searches[:SEARCHED_STARTS]
 
 
 def _settled(search: LoadedSearch) -> Pieces[Fit | None]:
@@ -221,16 +235,18 @@ def _opened(white_box: MotorWhiteBox, fit: Fit, spread: Array) -> LoadedFit:
     information = fit.information - across.T @ shortest_solution(of_rotor, across)
     place = nodes.index('inertia')
     variance = np.linalg.pinv(fit.information, hermitian=True)[place, place]
-    open_std = np.zeros(len(nodes))
+    open_std = np.array([ROUGH.get(name, 0.0) for name in nodes])
+    open_std[rotor] = of_load
     if not is_resolved(white_box, fit.runs.window, fit.theta):
         open_std[nodes.index('inductance')] = UNRESOLVED
     open_fit = replace(
         fit,
         information=0.5 * (information + information.T),
-        spread=spread + np.diag(open_std**2),
+        spread=spread,
     )
     return LoadedFit(
         open_fit,
         _load_of(fit).walk,
         math.sqrt(max(float(variance), 0.0)),
+        open_std,
     )

@@ -33,18 +33,25 @@ class LoadedLearner(WindowLearner):
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; see :meth:`WindowLearner.learn`."""
+        self._newest_fit = None
         has_fit = yield from super().learn(window, is_full=is_full)
         if has_fit and self._newest_fit is not None:
             self.walk = self._newest_fit.walk
+            self.covariance = self.covariance + np.diag(self._newest_fit.open_std**2)
+        self._newest_fit = None
         return has_fit
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
+        if len(starts) == 1:
+            starts = [*starts, *weak_starts(self._white_box, window)]
         return self._noted((yield from fit_loaded(self._white_box, window, prior, starts)))
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
-        starts = [self.theta, *weak_starts(self._white_box, window)]
+        starts = [self.theta]
+        if self.memory is None:  # else a full window has told which of several motors it is
+            starts += weak_starts(self._white_box, window)
         prior = self._prior()
         fit = yield from fit_loaded(self._white_box, window, prior, starts, self.walk)
         return self._noted(fit)

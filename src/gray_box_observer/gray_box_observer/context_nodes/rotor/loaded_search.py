@@ -110,9 +110,17 @@ class LoadedSearch(Search):
             self.starts[row] = alone.starts[0]
 
     def _alone(self, row: int, starts: Array | None) -> LoadedSearch:
-        """Return a search of one history at the same values."""
-        window = replace(self.window, histories=(self.window.histories[row],))
-        return LoadedSearch(self.white_box, window, self.prior, self.logarithms, starts)
+        """Return a search of one history at the same values: what all of them tell stays known."""
+        window = replace(
+            self.window,
+            histories=(self.window.histories[row],),
+            least_reach_v=self.window.largest_voltage_v,
+        )
+        alone = LoadedSearch(self.white_box, window, self.prior, self.logarithms, starts)
+        alone._floor_a = self._floor_a
+        alone._start_std = self._start_std
+        alone._start_precision = self._start_precision[row : row + 1]
+        return alone
 
     def _take_friction_off(self) -> None:
         """Take dry friction off a load that has taken it for its own."""

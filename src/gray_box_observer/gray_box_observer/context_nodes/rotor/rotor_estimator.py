@@ -45,6 +45,7 @@ from gray_box_observer.context_nodes.rotor.window_schedule import (
     WindowSchedule,
 )
 from gray_box_observer.context_nodes.update_rule import check_parameters
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, flag, group, whole
 from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
@@ -97,7 +98,11 @@ class RotorUpdate:
         self._white_box = white_box
         self._rules = rules or RecursiveSettings()
         self.verdict_rules = verdict_rules or VerdictSettings()
-        learner_type = LoadedLearner if white_box.load_varies else self._learner_type
+        learner_type = self._learner_type
+        if white_box.load_varies:
+            if learner_type is not WindowLearner:
+                raise ConfigurationError('beside a measured speed a load varies as it is')
+            learner_type = LoadedLearner
         self._learner = learner_type(
             white_box, initial, initial_relative_std, self._rules.drift_threshold
         )

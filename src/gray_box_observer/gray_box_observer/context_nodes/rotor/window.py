@@ -80,11 +80,13 @@ class Window:
         histories: in the order of time.
         unknowns: what is free in every history.
         count: newest samples that it was made of, with those of histories too short to be fitted.
+        least_reach_v: voltage that is known to have driven the motor, beside those that are here.
     """
 
     histories: tuple[History, ...]
     unknowns: Unknowns = NOTHING_MORE
     count: int = 0
+    least_reach_v: float = 0.0
 
     @classmethod
     def from_samples(
@@ -141,7 +143,8 @@ class Window:
     @cached_property
     def largest_voltage_v(self) -> float:
         """Largest absolute voltage."""
-        return max((float(np.abs(h.voltage_v).max()) for h in self.histories), default=0.0)
+        voltages_v = [float(np.abs(h.voltage_v).max()) for h in self.histories]
+        return max([self.least_reach_v, *voltages_v])
 
     @cached_property
     def quantisation_std_a(self) -> float:

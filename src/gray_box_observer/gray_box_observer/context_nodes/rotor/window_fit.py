@@ -120,9 +120,9 @@ def is_resolved(white_box: MotorWhiteBox, window: Window, theta: Array) -> bool:
         window: the samples.
         theta: shape (parameter,).
     """
-    values = dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    values = white_box.values(theta)
     slowest_s = RESOLVED * window.interval_s
-    return bool(values['inductance'] > slowest_s * values.get('resistance', np.inf))
+    return bool(values['inductance'] > slowest_s * values['resistance'])
 
 
 def _size(fit: Fit) -> float:
