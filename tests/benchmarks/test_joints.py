@@ -63,9 +63,11 @@ def test_a_record_says_what_its_user_knows_and_what_is_true() -> None:
 
 def test_rows_and_figures_count_joints() -> None:
     known = Trial('fan', 1, verdicts={'resistance': 'identified'}, errors={'resistance': 0.01})
-    false = replace(known, false_at_end=['resistance'], false_longest_s=2.0)
+    false = replace(
+        known, false_at_end=['resistance'], false_longest_s=2.0, effects=['varying_load']
+    )
     trials = [joints.JointTrial('fan', True, known), joints.JointTrial('fan', True, false)]
-    assert joints.rows(trials)[3] == ['speed measured, load: fan', *'21200011']
+    assert joints.rows(trials)[3] == ['speed measured, load: fan', *'212001011']
     values = {figure.name: figure.value for figure in joints.figures(trials)}
     assert values['  R identified and right, in %'] == 50.0
     assert values['  false at the end, in %'] == 50.0

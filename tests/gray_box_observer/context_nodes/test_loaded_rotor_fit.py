@@ -197,7 +197,7 @@ def test_what_a_load_may_have_done_stays_open_window_after_window() -> None:
     update = learnt(VARYING, samples_of(loaded(9000)))
     theta = update.theta[0]
     std = update.estimate().std[0] / theta
-    assert std[0] >= 0.02
+    assert std[0] >= 0.015
     assert std[1] >= 0.008
     assert (std[2:] > 0.05).all()
 

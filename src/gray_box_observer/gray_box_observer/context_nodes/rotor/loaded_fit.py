@@ -43,7 +43,7 @@ SEARCHED_STARTS = 2
 EXPLAINING_WALK = 100.0
 """Times the walk that a fit begins with, where it is asked what a load may explain."""
 
-ROUGH = {'resistance': 0.008, 'inductance': 0.02}
+ROUGH = {'resistance': 0.008, 'inductance': 0.015}
 """Standard deviations of logarithms that a load leaves which is no random walk: a friction that
 gives before it breaks, a load that jumps between knots."""
 
