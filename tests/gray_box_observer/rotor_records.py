@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -46,6 +47,23 @@ def driven(plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3
         simulation.command('motor', volts)
         samples.append(simulation.step())
     return recording_of(samples)
+
+
+def recorded_under(
+    plant: PlantParameters, load_nm: Callable[[float], float], samples: int, seed: int
+) -> Recording:
+    """Record a lively motor at 1 kHz, with 1 % noise, whose load follows its angle in rad."""
+    simulation = Simulation(
+        {'motor': plant}, LIVELY, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
+        speed_mode='rotor',
+    )  # fmt: skip
+    taken = []
+    angle_rad = 0.0
+    for _ in range(samples):
+        simulation.set_parameters({'motor': replace(plant, load_torque=load_nm(angle_rad))})
+        taken.append(simulation.step())
+        angle_rad += 1e-3 * float(taken[-1].speed_rad_s[0])
+    return recording_of(taken)
 
 
 def recording_of(samples: Sequence[Sample]) -> Recording:

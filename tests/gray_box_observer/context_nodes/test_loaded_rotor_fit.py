@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 from rotor_motors import BOX, INITIAL, KB, KT, NODES, THETA, samples_of
+from rotor_records import GEAR_MOTOR, recorded_under
 
-from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Recording, Simulation
+from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
@@ -35,25 +35,15 @@ VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(INITIAL.size) / 25.0)
 @cache
 def loaded(samples: int = 3000, seed: int = 1) -> Recording:
     """A gear motor whose load walks at random, up to a fifth of the stall torque."""
-    inductance, resistance, inertia, viscous, coulomb = THETA.tolist()
-    plant = PlantParameters(
-        inductance=inductance, resistance=resistance, hysteresis=0.0, torque_constant=KT,
-        back_emf_constant=KB, inertia=inertia, viscous_friction=viscous, coulomb_friction=coulomb,
-    )  # fmt: skip
-    simulation = Simulation(
-        {'motor': plant}, 'R[-12,12]D[0.05,0.5]', seed=seed, speed_mode='rotor',
-        sample_rate_hz=1000.0, torque_noise_std=NOISE_NM,
-    )  # fmt: skip
     rng = np.random.default_rng(seed)
     load_nm = 0.0
-    taken = []
-    for _ in range(samples):
+
+    def walk(_: float) -> float:
+        nonlocal load_nm
         load_nm = float(np.clip(load_nm + LOAD_STEP_NM * rng.standard_normal(), -0.024, 0.024))
-        simulation.set_parameters({'motor': replace(plant, load_torque=load_nm)})
-        taken.append(simulation.step())
-    names = ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
-    signals = (np.stack([getattr(one, name) for one in taken], axis=1) for name in names)
-    return Recording(('motor',), np.array([one.stamp_ns for one in taken]), *signals)
+        return load_nm
+
+    return recorded_under(GEAR_MOTOR, walk, samples, seed)
 
 
 def signals_of(samples: list[Sample]) -> np.ndarray:

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, observed, recording_of, told
+from rotor_records import CONSTANTS, GEAR_MOTOR, feed, observed, recorded_under, told
 
-from dc_motor_sim.simulation import Recording, Simulation
+from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.motor_form import ROTOR, VARYING_LOAD, FormKind
@@ -28,18 +28,9 @@ MECHANICAL = ('inertia', 'viscous_friction', 'coulomb_friction')
 @cache
 def arm(samples: int = SAMPLES, seed: int = 1) -> Recording:
     """A gear motor that swings an arm: its load follows the sine of the arm's angle."""
-    simulation = Simulation(
-        {'motor': MOTOR}, LIVELY, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
-        speed_mode='rotor',
-    )  # fmt: skip
-    taken = []
-    angle_rad = 0.0
-    for _ in range(samples):
-        load_nm = LARGEST_LOAD_NM * float(np.sin(angle_rad / GEAR_RATIO))
-        simulation.set_parameters({'motor': replace(MOTOR, load_torque=load_nm)})
-        taken.append(simulation.step())
-        angle_rad += 1e-3 * float(taken[-1].speed_rad_s[0])
-    return recording_of(taken)
+    return recorded_under(
+        MOTOR, lambda rad: LARGEST_LOAD_NM * float(np.sin(rad / GEAR_RATIO)), samples, seed
+    )
 
 
 @cache

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.estimate import (
-    COUNTS_AS_KNOWN,
     Estimate,
     Verdict,
     VerdictSettings,
+    unsettled,
 )
 from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
@@ -65,9 +65,7 @@ def limited(
     if not is_constant and Verdict.FROZEN not in verdicts[0]:
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = rules.judge(estimate.parameters, estimate.value, std)
-    at_most = tuple(
-        Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict for verdict in verdicts[0]
-    )
+    at_most = tuple(map(unsettled, verdicts[0]))
     return replace(estimate, covariance=covariance, verdicts=(at_most,))
 
 

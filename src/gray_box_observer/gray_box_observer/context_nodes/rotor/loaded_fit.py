@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -28,11 +27,10 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 )
 from gray_box_observer.context_nodes.rotor.loaded_search import LoadedSearch
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, History, Window
-from gray_box_observer.context_nodes.rotor.window_fit import DISTINCT, RIVAL, is_resolved
+from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window, current_of_histories
+from gray_box_observer.context_nodes.rotor.window_fit import is_resolved, with_rivals
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -61,16 +59,19 @@ class LoadedFit:
 
     Attributes:
         fit: of the parameters; what it tells of the rotor is opened by what the load may have done.
-        walk: variance that the load gains in a second, in (rad/s2)^2/s.
         inertia_std: of its logarithm, before it was opened.
         open_std: shape (parameter,): of the logarithms, by what load and friction may have done.
             It is the same in window after window, so it is in every estimate whole.
     """
 
     fit: Fit
-    walk: float
     inertia_std: float
     open_std: Array
+
+    @property
+    def walk(self) -> float:
+        """Variance that the load gains in a second, in (rad/s2)^2/s."""
+        return _load_of(self.fit).walk
 
 
 def fit_loaded(
@@ -93,8 +94,6 @@ def fit_loaded(
         walk: variance that the load has gained in a second before; 0: not known.
     """
     fits = []
-    if not with_load(window, 1.0).histories:
-        return None
     for search in (yield from _promising(white_box, window, prior, starts, walk)):
         fit = yield from _settled(search)
         if fit is not None:
@@ -102,7 +101,8 @@ def fit_loaded(
     if not fits:
         return None
     best, *others = sorted(fits, key=_cost)
-    return _opened(white_box, best, _rival_spread(best, others, prior))
+    worse = [_cost(other) - _cost(best) for other in others]
+    return _opened(white_box, with_rivals(best, others, worse, prior))
 
 
 def loaded_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Pieces[FreeRuns | None]:
@@ -136,18 +136,11 @@ def loaded_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Ar
     Returns:
         Shape (n,): current in A; NaN where the values cannot be run.
     """
-    result = np.full(samples.shape[1], np.nan)
-    current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
-    begins = np.flatnonzero(samples[INTERVAL] <= 0.0).tolist()
-    for begin, end in pairwise(sorted({0, *begins, current.size})):
-        between = slice(begin + 1, end)
-        history = History(current[begin:end], samples[VOLTAGE, between], samples[INTERVAL, between])
-        result[begin] = current[begin]
-        if end - begin > 1:
-            runs = completed(loaded_runs(white_box, theta, Window((history,))))
-            if runs is not None:
-                result[begin:end] = history.current_a - runs.residual_a
-    return result
+
+    def run_of(window: Window) -> FreeRuns | None:
+        return completed(loaded_runs(white_box, theta, window))
+
+    return current_of_histories(white_box, samples, run_of)
 
 
 def _promising(
@@ -161,6 +154,8 @@ def _promising(
     searches = []
     walks = [walk or first_walk(white_box, window, start) for start in starts]
     loaded_window = with_load(window, float(median(np.array(walks))))
+    if not loaded_window.histories:
+        return []
     for start in starts:
         search = LoadedSearch(white_box, loaded_window, prior, np.log(start))
         yield from search.settle()
@@ -202,28 +197,8 @@ def _cost(fit: Fit) -> float:
     return size + fit.chi_square + knots * math.log(load.walk)
 
 
-def _rival_spread(best: Fit, others: Sequence[Fit], prior: LogPrior) -> Array:
-    """Return the covariance that other ends add which are as likely, (parameter, parameter)."""
-    spread = np.zeros_like(best.information)
-    covariance = np.linalg.pinv(best.information + prior.precision, hermitian=True)
-    std = np.sqrt(np.maximum(np.diagonal(covariance), 1e-30))
-    for other in others:
-        worse = _cost(other) - _cost(best)
-        apart = other.logarithms - best.logarithms
-        if worse < RIVAL and np.max(np.abs(apart) / std) > DISTINCT:
-            share = 1.0 / (1.0 + math.exp(0.5 * max(worse, 0.0)))
-            spread += share * np.outer(apart, apart)
-    return spread
-
-
-def _opened(white_box: MotorWhiteBox, fit: Fit, spread: Array) -> LoadedFit:
-    """Open what a fit tells of the rotor by what its load may have done.
-
-    Args:
-        white_box: of the motor.
-        fit: of the parameters.
-        spread: shape (parameter, parameter): covariance that rivals add.
-    """
+def _opened(white_box: MotorWhiteBox, fit: Fit) -> LoadedFit:
+    """Open what a fit tells of the rotor by what its load may have done."""
     nodes = white_box.context_nodes
     rotor = [place for place, name in enumerate(nodes) if TERMS[name].state is State.SPEED]
     values = white_box.values(fit.theta)
@@ -239,14 +214,5 @@ def _opened(white_box: MotorWhiteBox, fit: Fit, spread: Array) -> LoadedFit:
     open_std[rotor] = of_load
     if not is_resolved(white_box, fit.runs.window, fit.theta):
         open_std[nodes.index('inductance')] = UNRESOLVED
-    open_fit = replace(
-        fit,
-        information=0.5 * (information + information.T),
-        spread=spread,
-    )
-    return LoadedFit(
-        open_fit,
-        _load_of(fit).walk,
-        math.sqrt(max(float(variance), 0.0)),
-        open_std,
-    )
+    open_fit = replace(fit, information=0.5 * (information + information.T))
+    return LoadedFit(open_fit, math.sqrt(max(float(variance), 0.0)), open_std)

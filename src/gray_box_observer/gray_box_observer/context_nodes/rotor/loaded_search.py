@@ -114,7 +114,7 @@ class LoadedSearch(Search):
         window = replace(
             self.window,
             histories=(self.window.histories[row],),
-            least_reach_v=self.window.largest_voltage_v,
+            voltage_elsewhere_v=self.window.largest_voltage_v,
         )
         alone = LoadedSearch(self.white_box, window, self.prior, self.logarithms, starts)
         alone._floor_a = self._floor_a

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import (
-    COUNTS_AS_KNOWN,
     Estimate,
     Verdict,
     VerdictSettings,
     bounded,
     spread_of_values,
+    unsettled,
 )
 from gray_box_observer.context_nodes.pieces import (
     FINISHED,
@@ -179,9 +179,7 @@ class RotorUpdate:
         """Return verdicts of a motor whose load varies: of its rotor nothing is known for good."""
         pairs = zip(self._white_box.context_nodes, verdicts, strict=True)
         return tuple(
-            Verdict.CONVERGING
-            if verdict in COUNTS_AS_KNOWN and TERMS[name].state is State.SPEED
-            else verdict
+            unsettled(verdict) if TERMS[name].state is State.SPEED else verdict
             for name, verdict in pairs
         )
 

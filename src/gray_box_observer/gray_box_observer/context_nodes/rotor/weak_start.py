@@ -98,12 +98,11 @@ def _rows(history: History, width: int, resistance: float | None, spans: int) ->
     once = _integral(0.5 * (current[1:] + current[:-1]), history)
     twice = _twice(current, once, history)
     volt_once = _integral(volt, history)
-    volt_twice = _integral(volt_once[:-1] + 0.5 * volt * history.interval_s, history)
+    volt_twice = _double_integral(volt, history)
     sign = np.zeros_like(volt)
     if resistance is not None:
         sign = np.sign(volt - resistance * 0.5 * (current[1:] + current[:-1]))
-    sign_once = _integral(sign, history)
-    sign_twice = _integral(sign_once[:-1] + 0.5 * sign * history.interval_s, history)
+    sign_twice = _double_integral(sign, history)
     left = time_s[width:-width] - time_s[: -2 * width]
     right = time_s[2 * width :] - time_s[width:-width]
 
@@ -115,12 +114,8 @@ def _rows(history: History, width: int, resistance: float | None, spans: int) ->
         result: Array = (before - middle) / left + (after - middle) / right
         return result
 
-    loads = [
-        _integral(load_once[:-1] + 0.5 * load * history.interval_s, history)
-        for load in _loads(volt.size, spans)
-        for load_once in [_integral(load, history)]
-    ]
-    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once, *(-one for one in loads))
+    loads = [-_double_integral(load, history) for load in _loads(volt.size, spans)]
+    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once, *loads)
     return np.stack([corners(signal) for signal in signals], axis=1)
 
 
@@ -140,6 +135,12 @@ def _loads(count: int, spans: int) -> Array:
 def _integral(over_interval: Array, history: History) -> Array:
     """Integral up to every sample, of a signal's means over the intervals."""
     return np.concatenate([[0.0], np.cumsum(over_interval * history.interval_s)])
+
+
+def _double_integral(over_interval: Array, history: History) -> Array:
+    """Double integral up to every sample, of a signal that an interval holds."""
+    once = _integral(over_interval, history)
+    return _integral(once[:-1] + 0.5 * over_interval * history.interval_s, history)
 
 
 def _twice(current: Array, once: Array, history: History) -> Array:

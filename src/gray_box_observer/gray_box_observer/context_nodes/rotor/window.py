@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -80,13 +80,13 @@ class Window:
         histories: in the order of time.
         unknowns: what is free in every history.
         count: newest samples that it was made of, with those of histories too short to be fitted.
-        least_reach_v: voltage that is known to have driven the motor, beside those that are here.
+        voltage_elsewhere_v: largest that has driven the motor outside of these histories.
     """
 
     histories: tuple[History, ...]
     unknowns: Unknowns = NOTHING_MORE
     count: int = 0
-    least_reach_v: float = 0.0
+    voltage_elsewhere_v: float = 0.0
 
     @classmethod
     def from_samples(
@@ -144,7 +144,7 @@ class Window:
     def largest_voltage_v(self) -> float:
         """Largest absolute voltage."""
         voltages_v = [float(np.abs(h.voltage_v).max()) for h in self.histories]
-        return max([self.least_reach_v, *voltages_v])
+        return max([self.voltage_elsewhere_v, *voltages_v])
 
     @cached_property
     def quantisation_std_a(self) -> float:
@@ -391,17 +391,37 @@ def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Arr
     Returns:
         Shape (n,): current in A; NaN where the values cannot be run.
     """
+
+    def run_of(window: Window) -> FreeRuns | None:
+        runs = free_runs(white_box, theta, window, guessed_starts(white_box, theta, window))
+        return runs if runs.is_bounded else None
+
+    return current_of_histories(white_box, samples, run_of)
+
+
+def current_of_histories(
+    white_box: MotorWhiteBox, samples: Array, run_of: Callable[[Window], FreeRuns | None]
+) -> Array:
+    """Run through every history by itself; only its first reading is taken over.
+
+    Args:
+        white_box: of one motor with a rotor.
+        samples: shape (signal, n): interval in s, voltage in V and torque in N m.
+        run_of: runs a window of one history, and leaves out no reading; None: it cannot be run.
+
+    Returns:
+        Shape (n,): current in A; NaN where a history cannot be run.
+    """
     result = np.full(samples.shape[1], np.nan)
     current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
     begins = np.flatnonzero(samples[INTERVAL] <= 0.0).tolist()
     for begin, end in pairwise(sorted({0, *begins, current.size})):
         between = slice(begin + 1, end)
         history = History(current[begin:end], samples[VOLTAGE, between], samples[INTERVAL, between])
-        window = Window((history,))
         result[begin] = current[begin]
         if end - begin > 1:
-            runs = free_runs(white_box, theta, window, guessed_starts(white_box, theta, window))
-            if runs.is_bounded:
+            runs = run_of(Window((history,)))
+            if runs is not None:
                 result[begin:end] = history.current_a - runs.residual_a
     return result
 

@@ -79,7 +79,9 @@ def fit_window(
     noise = min(end.fit.noise_a for end in ends)
     fits = [end.fit for end in ends]
     fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
-    return _with_rivals(fits, prior)
+    best, *others = fits
+    worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
+    return with_rivals(best, others, worse, prior)
 
 
 def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
@@ -157,17 +159,22 @@ def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Free
     return search.runs
 
 
-def _with_rivals(fits: Sequence[Fit], prior: LogPrior) -> Fit:
-    """Widen the best end by other ends that are as likely."""
-    best = fits[0]
+def with_rivals(best: Fit, others: Sequence[Fit], worse: Sequence[float], prior: LogPrior) -> Fit:
+    """Widen the best end by other ends that are as likely.
+
+    Args:
+        best: it.
+        others: the other ends.
+        worse: one an end: difference of its cost, which is chi-square, to that of the best.
+        prior: decides what the samples leave open.
+    """
     spread = best.spread
     covariance = np.linalg.pinv(best.information + prior.precision, hermitian=True)
     std = np.sqrt(np.maximum(np.diagonal(covariance), 1e-30))
-    for other in fits[1:]:
-        worse = _size(other) - _size(best) + other.chi_square - best.chi_square
+    for other, difference in zip(others, worse, strict=True):
         apart = other.logarithms - best.logarithms
-        if worse < RIVAL and np.max(np.abs(apart) / std) > DISTINCT:
-            share = 1.0 / (1.0 + float(np.exp(0.5 * max(worse, 0.0))))
+        if difference < RIVAL and np.max(np.abs(apart) / std) > DISTINCT:
+            share = 1.0 / (1.0 + float(np.exp(0.5 * max(difference, 0.0))))
             spread = spread + share * np.outer(apart, apart)
     return replace(best, spread=spread)
 
