@@ -12,6 +12,7 @@ from gray_box_observer.predictor.training.training_backend import (
     InlineTraining,
     ProcessTraining,
     Training,
+    TrainingProcess,
 )
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     'Skill',
     'TorquePredictor',
     'Training',
+    'TrainingProcess',
     'TrainingSettings',
     'Variant',
 ]

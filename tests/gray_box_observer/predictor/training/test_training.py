@@ -10,7 +10,13 @@ import psutil
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import InlineTraining, ProcessTraining, TrainingSettings, Variant
+from gray_box_observer.predictor import (
+    InlineTraining,
+    ProcessTraining,
+    TrainingProcess,
+    TrainingSettings,
+    Variant,
+)
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -138,3 +144,90 @@ def test_training_rests_until_its_share_of_a_core_is_kept(
         assert not InlineTraining(configuration(thesis_box, SMALL)).is_resting
     finally:
         process.close()
+
+
+def result_of(training: ProcessTraining) -> dict[str, Any]:
+    deadline = time.monotonic() + PATIENCE_S
+    while (result := training.collect()) is None:
+        assert training.failure is None, training.failure
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return result
+
+
+def children_since(before: set[psutil.Process]) -> set[psutil.Process]:
+    return set(psutil.Process().children()) - before
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(660)
+def test_motors_of_one_observer_train_in_one_process_as_each_would_alone(
+    thesis_box: MotorWhiteBox, samples: list[Sample]
+) -> None:
+    before = set(psutil.Process().children())
+    rules = replace(SMALL, start='fresh')
+    parts = {5: samples[:400], 6: samples[400:800]}
+    process = TrainingProcess()
+    trainings = {
+        seed: ProcessTraining(configuration(thesis_box, rules, seed), process) for seed in parts
+    }
+    (child,) = children_since(before)
+    for seed, part in parts.items():
+        trainings[seed].submit(job_of(part))
+    for seed, part in parts.items():
+        alone = InlineTraining(configuration(thesis_box, rules, seed))
+        alone.submit(job_of(part))
+        expected = alone.collect()
+        assert expected is not None
+        result = result_of(trainings[seed])
+        np.testing.assert_array_equal(result['input'], expected['input'])
+    trainings[5].close()
+    trainings[6].submit(job_of(samples))
+    result_of(trainings[6])
+    assert children_since(before) == {child}
+    trainings[6].close()
+    deadline = time.monotonic() + PATIENCE_S
+    while children_since(before):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(660)
+def test_a_trainer_that_fails_leaves_those_beside_it_alone(
+    thesis_box: MotorWhiteBox, samples: list[Sample]
+) -> None:
+    process = TrainingProcess()
+    nonsense = {**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}}
+    failing = ProcessTraining(nonsense, process)
+    other = ProcessTraining(configuration(thesis_box, SMALL), process)
+    try:
+        other.submit(job_of(samples[:400]))
+        result_of(other)
+        assert failing.failure is not None
+        assert failing.failure.startswith('training ended: ')
+    finally:
+        failing.close()
+        other.close()
+
+
+@pytest.mark.timeout(660)
+def test_a_process_that_was_killed_fails_for_all_and_the_next_one_starts_another(
+    thesis_box: MotorWhiteBox,
+) -> None:
+    before = set(psutil.Process().children())
+    process = TrainingProcess()
+    trainings = [ProcessTraining(configuration(thesis_box, SMALL), process) for _ in range(2)]
+    (child,) = children_since(before)
+    child.kill()
+    deadline = time.monotonic() + PATIENCE_S
+    while any(training.failure is None for training in trainings):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    another = ProcessTraining(configuration(thesis_box, SMALL), process)
+    try:
+        assert another.failure is None
+        assert children_since(before) - {child}
+    finally:
+        for training in (*trainings, another):
+            training.close()

@@ -9,6 +9,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+BEGIN, TRAIN, END = 'begin', 'train', 'end'
+"""What a message asks of a trainer: to be made from a configuration, to do a job, to be forgotten.
+"""
+
 _HEADER = struct.Struct('<Q')
 _PLAIN = '__plain__'
 

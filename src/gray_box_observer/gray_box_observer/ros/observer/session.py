@@ -15,7 +15,7 @@ from gray_box_observer.observer.incident import in_words
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import ProcessTraining
+from gray_box_observer.predictor import ProcessTraining, TrainingProcess
 from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.ros.observer.traffic import TrafficMeter
 from gray_box_observer.safe_io.printable import printable
@@ -45,7 +45,8 @@ class Session:
         log: RcutilsLogger,
         is_active: Callable[[], bool],
     ) -> None:
-        self.observer = Observer(configuration, ProcessTraining)
+        training = partial(ProcessTraining, process=TrainingProcess())
+        self.observer = Observer(configuration, training)
         self.message_input = MessageInput(self.observer, configuration)
         self.outputs = outputs
         self.deferred_results: list[GroupResult] = []
