@@ -27,15 +27,23 @@ class EstimateLimit:
     Args:
         parameters: of the motor.
         result: of its newest test; None: it was never tested, and nothing of it is identified.
+        is_strict: whether a warning, too, leaves nothing identified.
 
     Attributes:
         widens: whether covariances grow.
         is_open: whether all is believed as the rule gives it.
     """
 
-    def __init__(self, parameters: tuple[Parameter, ...], result: FitResult | None) -> None:
+    def __init__(
+        self,
+        parameters: tuple[Parameter, ...],
+        result: FitResult | None,
+        *,
+        is_strict: bool = False,
+    ) -> None:
         self._parameters = parameters
-        self._is_tested = result is not None
+        is_warned = result is not None and result.assessment.verdict is FitVerdict.WARNING
+        self._is_settled = result is not None and not (is_strict and is_warned)
         self._is_misfit = result is not None and result.assessment.verdict is FitVerdict.MISFIT
         self._judgement: Judgement | None = None
         if result is not None and result.judgement.widens:
@@ -48,7 +56,7 @@ class EstimateLimit:
                 self._judgement.furthest,
             )
         self.widens = self._judgement is not None
-        self.is_open = self._is_tested and not (self._is_misfit or self.widens)
+        self.is_open = self._is_settled and not (self._is_misfit or self.widens)
         self._last: tuple[tuple[Verdicts, Verdicts], Verdicts] = ((), ()), ()
 
     def apply(
@@ -63,8 +71,6 @@ class EstimateLimit:
             covariance: shape (parameter, parameter): as the rule gives it.
             verdicts: likewise.
         """
-        if not self._is_tested:
-            return tuple(map(unsettled, verdicts))
         if self._judgement is not None:
             if self._native.is_compiled:
                 rules = nodes.verdict_rules
@@ -74,6 +80,8 @@ class EstimateLimit:
                 judged_verdicts = self._widen(self._judgement, nodes, motor, value, covariance)
             if Verdict.FROZEN not in verdicts:
                 verdicts = self._no_better(judged_verdicts, verdicts)
+        if not self._is_settled:
+            return tuple(map(unsettled, verdicts))
         return tuple(map(misfit, verdicts)) if self._is_misfit else verdicts
 
     def _widen(

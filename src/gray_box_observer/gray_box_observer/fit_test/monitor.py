@@ -52,6 +52,8 @@ class FitMonitor:
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
+        # a rule for many takes a measured speed for exact: what is left may come of its noise
+        self._is_strict = len(motors) > 1 and white_boxes[0].speed_measured
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
         self.forget()
@@ -129,7 +131,8 @@ class FitMonitor:
     def _keep(self, motor: int, result: FitResult | None) -> None:
         """Keep what a test has left, and how far that limits estimates."""
         self._results[motor] = result
-        limit = EstimateLimit(self._tests[motor].white_box.parameters, result)
+        parameters = self._tests[motor].white_box.parameters
+        limit = EstimateLimit(parameters, result, is_strict=self._is_strict)
         if limit.is_open:
             self._limits.pop(motor, None)
         else:

@@ -32,10 +32,10 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'group_from',
-        8,
-        'From so many motors in the same messages on they are computed together: they share one '
-        'network, and no '
-        'residual is learnt.',
+        65,
+        'From so many motors in the same messages on they are computed together, for far less work: '
+        'no rotor and no effect is found by data, a measured speed is taken for exact, they share '
+        'one network, and no residual is learnt.',
         2,
         1_000_000,
     ),
@@ -195,7 +195,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'training.core_share',
         0.1,
-        'Share of one core that background training may use.',
+        'Share of one core that background training of a motor may use; that of all takes one core '
+        'at most.',
         1e-4,
         1.0,
         live=True,

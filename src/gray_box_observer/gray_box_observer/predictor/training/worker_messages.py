@@ -9,9 +9,14 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-BEGIN, TRAIN, END = 'begin', 'train', 'end'
-"""What a message asks of a trainer: to be made from a configuration, to do a job, to be forgotten.
-"""
+BEGIN = 'begin'
+"""What a message asks for: a trainer, made from a configuration."""
+
+TRAIN = 'train'
+"""The same: a job of a trainer."""
+
+END = 'end'
+"""The same: that a trainer is forgotten."""
 
 _HEADER = struct.Struct('<Q')
 _PLAIN = '__plain__'
