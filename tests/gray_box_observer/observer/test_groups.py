@@ -131,6 +131,18 @@ def test_few_motors_stay_by_themselves(said: dict[str, tuple[np.ndarray, np.ndar
     assert [group.names for group in one.groups((CALM, PLAIN))] == [(CALM,), (PLAIN,)]
 
 
+@pytest.mark.parametrize(('motors', 'groups'), [(64, 64), (65, 1)])
+def test_by_default_the_motors_of_a_robot_are_observed_one_by_one(motors: int, groups: int) -> None:
+    names = tuple(f'joint{place}' for place in range(motors))
+    flat = {'motors': list(names)} | {f'{name}.torque_constant': 0.01 for name in names}
+    robot = Observer(Configuration.from_flat(flat), None)
+    for stamp_ns in range(0, 3 * PERIOD_NS, PERIOD_NS):
+        robot.ingest('voltage', names, stamp_ns, np.ones(motors))
+        robot.ingest('torque', names, stamp_ns, np.ones(motors))
+    assert len(robot.groups(names)) == groups
+    assert {robot.counts(name).used_count for name in names} == {3}
+
+
 def test_motors_of_different_kinds_are_not_computed_together(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
