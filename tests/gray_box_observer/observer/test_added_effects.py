@@ -17,7 +17,7 @@ from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.identify.result_text import _lines as text_lines
 from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.form_trial import FormTrial, TrialStart
-from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.motor_form import POSSIBLE_EFFECTS, FormKind
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
@@ -193,7 +193,8 @@ def test_what_is_known_or_named_is_not_added() -> None:
     choice = motor_observer(
         Configuration.from_flat(known), motors, None, speed_measured=True
     ).form_choice
-    assert not choice.is_open
+    added = [FormKind(choice.kind.source, (name,)) for name in POSSIBLE_EFFECTS]
+    assert not any(map(choice.may_take, added))
 
 
 @pytest.mark.parametrize('record', [LOSSY, GEAR_MOTOR])
@@ -383,7 +384,8 @@ def test_a_saved_dead_zone_that_is_none_is_refused(dead_zone_v: object) -> None:
         [],
         'brush_drop',
         [['measured', 'resistance']],
-        [['rotor']],
+        [['torque_constant']],
+        [['measured', 'load_torque']],
         [['measured', 'brush_drop', 'brush_drop']],
         [['measured', ['brush_drop']]],
         [['measured']],

@@ -256,7 +256,7 @@ def test_a_device_that_is_gone_ends_everything_as_before(fault):
 
 def test_motors_that_are_computed_together_stop_together_and_others_go_on(fault):
     together = tuple(f'm{k}' for k in range(8))
-    observer = observer_of((*together, 'alone'))
+    observer = observer_of((*together, 'alone'), group_from=8)
     feed(observer, together, range(FAILS_AT))
     feed(observer, ('alone',), range(FAILS_AT))
     fault(observer, 'm3', 'step')

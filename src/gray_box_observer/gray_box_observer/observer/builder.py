@@ -95,7 +95,8 @@ def motor_observer(
     def make(kind: FormKind) -> MotorForm:
         motor = first.with_rotor() if kind.source == ROTOR != source else first
         motor = motor.with_effects(kind.effects, kind.dead_zone_v, kind.lag)
-        return _form(configuration, [motor], training, speed_measured=uses_speed)
+        has_speed = uses_speed and kind.source == MEASURED
+        return _form(configuration, [motor], training, speed_measured=has_speed)
 
     choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
     if kind is not None and kind != choice.kind and choice.may_take(kind):
@@ -165,7 +166,8 @@ def _form_choice(
     sources: tuple[str, ...] = (source,)
     reason = 'as configured'
     if source == 'auto' and speed_measured:
-        sources = (MEASURED,)
+        has_other = _obstacle(configuration, motors) is None
+        sources = (MEASURED, ROTOR) if has_other else (MEASURED,)
         reason = 'the first torque sample brought a speed'
     elif source == 'auto':
         obstacle = _obstacle(configuration, motors)

@@ -40,6 +40,7 @@ from gray_box_observer.observer.motor_form import (
     residual_a,
 )
 from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.still_speed import stands_still
 from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
@@ -169,8 +170,12 @@ class FormChoice:
 
     @property
     def speed_is_open(self) -> bool:
-        """Whether the data may still lead to another source of the speed."""
-        return self._open is not None and len(self._open.sources) > 1
+        """Whether the data may still lead to another source of the speed.
+
+        From a measured one they do where its reading stands still, which nobody expects.
+        """
+        is_choice = self._open is not None and len(self._open.sources) > 1
+        return is_choice and self.kind.source != MEASURED
 
     def may_take(self, kind: FormKind) -> bool:
         """Tell whether data may lead to a form."""
@@ -259,7 +264,8 @@ class FormChoice:
             return None
         assert outcome.kind is not None
         if outcome.kind.source != self.kind.source:
-            self._reasons.source = outcome.reason
+            stands = 'the measured speed stands still; ' if self.kind.source == MEASURED else ''
+            self._reasons.source = f'{stands}{outcome.reason}'
             self._reasons.effects = outcome.reason if outcome.kind.effects else NOTHING_ADDED
         else:
             self._reasons.effects = outcome.reason
@@ -299,8 +305,15 @@ class FormChoice:
         """Whether a lag was found of which it is open whether it is the winding's."""
         return self.kind.lag is not None and bool(self.kind.lag.other_order)
 
-    def _candidates(self, fit: FitAssessment) -> tuple[FormKind, ...]:
-        """Return the forms to try, that of the likeliest suspect first."""
+    def _candidates(
+        self, fit: FitAssessment, *, has_no_speed: bool = False
+    ) -> tuple[FormKind, ...]:
+        """Return the forms to try, that of the likeliest suspect first.
+
+        Args:
+            fit: what is known of that of the form in force.
+            has_no_speed: whether the measured speed stands still, so that it may be none.
+        """
         kinds: list[FormKind] = []
         lag = self.kind.lag
         if lag is not None and not self._is_doubted(fit):  # its order alone is asked for
@@ -308,6 +321,10 @@ class FormChoice:
         if lag is not None:  # it may be another one than was found
             kinds.append(replace(self.kind, lag=None))
         plain = self.kind.with_other_source
+        if self.kind.source == MEASURED and not has_no_speed:
+            plain = None
+        elif self.kind.source == MEASURED and plain is not None:
+            kinds += self._with_rotor(plain, fit)
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
         if self.kind.source == ROTOR and fit.verdict is FitVerdict.WARNING and not suspects:
             kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing
@@ -383,14 +400,16 @@ class FormChoice:
     ) -> FormTrial | None:
         """Begin a trial on what is remembered, unless the voltage has hardly moved."""
         assert self._open is not None
-        candidates = self._candidates(fit)
+        replay = nodes.replay
+        count = min(replay.stored(0), replay.capacity, NEWEST)
+        own_content = replay.newest(count).copy()
+        is_measured = self.kind.source == MEASURED
+        has_no_speed = is_measured and stands_still(white_box, nodes.theta, own_content)
+        candidates = self._candidates(fit, has_no_speed=has_no_speed)
         if not candidates:
             self._pace.postpone(self._place)
             self._reasons.refusal = ''
             return None
-        replay = nodes.replay
-        count = min(replay.stored(0), replay.capacity, NEWEST)
-        own_content = replay.newest(count).copy()
         content = own_content if path is None else path.commanded(own_content)
         if not can_tell(white_box, content):
             self._pace.postpone(self._place)

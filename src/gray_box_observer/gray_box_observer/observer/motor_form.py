@@ -41,7 +41,8 @@ ROTOR = 'rotor'
 MEASURED = 'measured'
 """Sources of a motor's speed."""
 
-OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS}
+OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS, MEASURED: ROTOR}
+"""What else the speed may come from; a measured one is left out where its reading stands still."""
 
 QUADRATIC_FRICTION = 'quadratic_friction'
 
@@ -103,7 +104,7 @@ class FormKind:
 
     @property
     def with_other_source(self) -> FormKind | None:
-        """The plain form with the other source of the speed; None where it is measured."""
+        """The plain form with the other source of the speed; None where there is no other."""
         other = OTHER_SOURCE.get(self.source)
         return None if other is None else FormKind(other)
 

@@ -516,6 +516,7 @@ class Observer:
                     )
                 continue
             update, estimate = observer.step(sample)
+            pairing.needs_speed = observer.white_box.speed_measured  # another form may need none
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError(NOT_FINITE)
             results.append(

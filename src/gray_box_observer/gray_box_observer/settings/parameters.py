@@ -33,9 +33,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'group_from',
         65,
-        'From so many motors in the same messages on they are computed together, for far less work: '
-        'no rotor and no effect is found by data, a measured speed is taken for exact, they share '
-        'one network, and no residual is learnt.',
+        'From so many motors in the same messages on they are computed together, for far less '
+        'work: no rotor and no effect is found by data, a measured speed is taken for exact, they '
+        'share one network, and no residual is learnt.',
         2,
         1_000_000,
     ),
