@@ -8,17 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.motion import FloatArray
+from common.claims import claims, is_known, is_near, noisy_readings
 from common.rotor.records import Record, draw
-from common.rotor.runs import FALSE_SHARE, FALSE_STDS
 from common.trust.motors import gear_motor
-from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
-
-JUDGED = ('inductance', 'resistance')
-"""Parameters whose claims are judged: those that a robot's controller is tuned for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +71,11 @@ def run_robot(case: RobotCase, seed: int) -> RobotTrial:
     observer = Observer(_configuration(names, records, case), None)
     voltage = np.array([[*record.voltage_v, 0.0] for record in records])
     torque = np.array([one.measured_a * one.motor.torque_constant for one in records])
-    speed = _readings(records, case, seed)
-    truth = {
-        name: np.array([getattr(record.motor, node) for node in JUDGED])
-        for name, record in zip(names, records, strict=True)
-    }
-    claims = np.zeros(2, dtype=int)
+    rng = np.random.default_rng([23, seed])
+    true_speed = np.array([record.speed_rad_s for record in records])
+    speed = noisy_readings(true_speed, case.speed_noise, rng)
+    motors = {name: record.motor for name, record in zip(names, records, strict=True)}
+    counts = np.zeros(2, dtype=int)
     begun = time.process_time()
     for place in range(torque.shape[1]):
         stamp_ns = round(place / case.rate_hz * 1e9)
@@ -90,15 +84,15 @@ def run_robot(case: RobotCase, seed: int) -> RobotTrial:
         results += observer.ingest('torque', names, stamp_ns, torque[:, place], speeds)
         for result in (one for group in results for one in group):
             if result.estimate is not None:
-                claims += _claims(result.estimate, truth[result.motor])
+                counts += claims(result.estimate, motors[result.motor])
     cpu_s = time.process_time() - begun
     observer.finish()
     ends = {name: observer.estimates()[name] for name in names}
-    near = [abs(_error(ends[name], truth[name], 1)) <= FALSE_SHARE for name in names]
-    known = [_claims(ends[name], truth[name], JUDGED[1:]).tolist() == [1, 0] for name in names]
+    near = [is_near(ends[name], motor) for name, motor in motors.items()]
+    known = [is_known(ends[name], motor) for name, motor in motors.items()]
     misfits = sum(observer.fit(name).verdict is FitVerdict.MISFIT for name in names)
     sample_us = 1e6 * cpu_s / torque.size
-    return RobotTrial(sum(known), sum(near), misfits, int(claims[0]), int(claims[1]), sample_us)
+    return RobotTrial(sum(known), sum(near), misfits, int(counts[0]), int(counts[1]), sample_us)
 
 
 def _configuration(
@@ -112,39 +106,3 @@ def _configuration(
         own = {key: value for key, value in record.parameters.items() if key != 'speed_source'}
         parameters |= {f'{name}.{key}': value for key, value in own.items()}
     return Configuration.from_flat(parameters)
-
-
-def _readings(records: Sequence[Record], case: RobotCase, seed: int) -> FloatArray | None:
-    """Return measured speeds, shape (motor, sample); None where there are none."""
-    if case.speed_noise is None:
-        return None
-    rng = np.random.default_rng([23, seed])
-    speed = np.array([record.speed_rad_s for record in records])
-    std = case.speed_noise * speed.std(axis=1, keepdims=True)
-    result: FloatArray = speed + std * rng.normal(size=speed.shape)
-    return result
-
-
-def _place(estimate: Estimate, node: str) -> int:
-    return [parameter.name for parameter in estimate.parameters].index(node)
-
-
-def _error(estimate: Estimate, truth: FloatArray, place: int) -> float:
-    value = estimate.value[0, _place(estimate, JUDGED[place])]
-    return float(value / truth[place] - 1.0)
-
-
-def _claims(
-    estimate: Estimate, truth: FloatArray, nodes: Sequence[str] = JUDGED
-) -> np.ndarray[tuple[int], np.dtype[np.int_]]:
-    """Return how many parameters are identified, and how many of them are false."""
-    counts = np.zeros(2, dtype=int)
-    for node in nodes:
-        place = _place(estimate, node)
-        if estimate.verdicts[0][place] is not Verdict.IDENTIFIED:
-            continue
-        own_truth = truth[JUDGED.index(node)]
-        off = abs(estimate.value[0, place] - own_truth)
-        is_false = off > max(FALSE_STDS * estimate.std[0, place], FALSE_SHARE * own_truth)
-        counts += np.array([1, int(is_false)])
-    return counts

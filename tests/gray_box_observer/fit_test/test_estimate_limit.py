@@ -111,17 +111,15 @@ def test_a_test_that_widens_nothing_leaves_all_believed() -> None:
     assert limit.is_open
 
 
-def test_where_it_is_strict_a_warning_leaves_nothing_identified() -> None:
-    warned = result_of(np.ones(COUNT), np.zeros((COUNT, COUNT)), FitVerdict.WARNING)
+def test_what_fits_on_a_weak_basis_is_not_identified() -> None:
+    fitting = result_of(np.ones(COUNT), np.zeros((COUNT, COUNT)))
     identified = (Verdict.IDENTIFIED,) * COUNT
     nodes = nodes_with([], [])
-    for is_strict, verdict in ((False, Verdict.IDENTIFIED), (True, Verdict.CONVERGING)):
-        limit = EstimateLimit(BOX.parameters, warned, is_strict=is_strict)
-        assert limit.is_open != is_strict
+    for is_credible, verdict in ((True, Verdict.IDENTIFIED), (False, Verdict.CONVERGING)):
+        limit = EstimateLimit(BOX.parameters, fitting, is_credible=is_credible)
+        assert limit.is_open == is_credible
         left = limit.apply(nodes, 0, np.ones(COUNT), np.eye(COUNT), identified)
         assert left == (verdict,) * COUNT
-    fitting = result_of(np.ones(COUNT), np.zeros((COUNT, COUNT)))
-    assert EstimateLimit(BOX.parameters, fitting, is_strict=True).is_open
 
 
 def test_a_frozen_motor_stays_frozen_and_is_known_less_well() -> None:

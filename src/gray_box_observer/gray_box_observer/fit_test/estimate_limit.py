@@ -27,7 +27,7 @@ class EstimateLimit:
     Args:
         parameters: of the motor.
         result: of its newest test; None: it was never tested, and nothing of it is identified.
-        is_strict: whether a warning, too, leaves nothing identified.
+        is_credible: whether what fits may be called identified.
 
     Attributes:
         widens: whether covariances grow.
@@ -39,11 +39,10 @@ class EstimateLimit:
         parameters: tuple[Parameter, ...],
         result: FitResult | None,
         *,
-        is_strict: bool = False,
+        is_credible: bool = True,
     ) -> None:
         self._parameters = parameters
-        is_warned = result is not None and result.assessment.verdict is FitVerdict.WARNING
-        self._is_settled = result is not None and not (is_strict and is_warned)
+        self._is_settled = result is not None and is_credible
         self._is_misfit = result is not None and result.assessment.verdict is FitVerdict.MISFIT
         self._judgement: Judgement | None = None
         if result is not None and result.judgement.widens:
@@ -80,9 +79,9 @@ class EstimateLimit:
                 judged_verdicts = self._widen(self._judgement, nodes, motor, value, covariance)
             if Verdict.FROZEN not in verdicts:
                 verdicts = self._no_better(judged_verdicts, verdicts)
-        if not self._is_settled:
-            return tuple(map(unsettled, verdicts))
-        return tuple(map(misfit, verdicts)) if self._is_misfit else verdicts
+        if self._is_misfit:
+            return tuple(map(misfit, verdicts))
+        return verdicts if self._is_settled else tuple(map(unsettled, verdicts))
 
     def _widen(
         self, judgement: Judgement, nodes: ContextUpdate, motor: int, value: Array,

@@ -20,6 +20,7 @@ from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
+from gray_box_observer.fit_test.speed_basis import SpeedBasis
 from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
 from gray_box_observer.safe_io.saved_state import group
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
@@ -52,8 +53,7 @@ class FitMonitor:
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
-        # a rule for many takes a measured speed for exact: what is left may come of its noise
-        self._is_strict = len(motors) > 1 and white_boxes[0].speed_measured
+        self._basis = SpeedBasis.from_form(white_boxes[0], len(motors))
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
         self.forget()
@@ -132,7 +132,8 @@ class FitMonitor:
         """Keep what a test has left, and how far that limits estimates."""
         self._results[motor] = result
         parameters = self._tests[motor].white_box.parameters
-        limit = EstimateLimit(parameters, result, is_strict=self._is_strict)
+        is_credible = result is None or self._basis.bears(result.assessment)
+        limit = EstimateLimit(parameters, result, is_credible=is_credible)
         if limit.is_open:
             self._limits.pop(motor, None)
         else:

@@ -87,6 +87,10 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
+SHORT = (1.0, 1.4)
+"""The same as far as the inductance goes: a current that is the mean of its interval, or smoothed,
+looks like one of a larger inductance, which half an interval contains."""
+
 UNTOLD_DELAY = 0.05
 """Standard deviation of a delay, in sample intervals, from which the data need not show half an
 interval. A voltage that was sampled and not held acts so much later than it is taken to act. Steps
@@ -242,12 +246,15 @@ def judge(
         factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
     late = UNIFORM_MEAN * analysis.jitter
     if not stamps_exact:
-        fully, from_here = SHORTEST
-        share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
+        share = _share_below(SHORTEST, analysis.intervals)
         is_untold = _is_delay_untold(analysis, speed_measured=speed_measured)
         late += UNIFORM_STD if is_untold else share * UNIFORM_STD
     unknown_shifts = [(late, analysis.delay.shift), *((1.0, row) for row in analysis.open_shifts)]
     if not stamps_exact:
+        of_inductance = np.zeros_like(analysis.delay.shift)
+        of_inductance[INDUCTANCE] = analysis.delay.shift[INDUCTANCE]
+        share = _share_below(SHORT, analysis.intervals)
+        unknown_shifts.append((share * UNIFORM_STD, of_inductance))
         unknown_shifts += [
             (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
             for error in (analysis.delay, analysis.lead)
@@ -275,6 +282,12 @@ def _is_large(analysis: ResidualAnalysis) -> bool:
 def shows_change(analysis: ResidualAnalysis) -> bool:
     """Tell whether a motor that fitted so far has become another one by its newest samples."""
     return analysis.ratio > RATIO_DOUBT and analysis.whiteness > WHITENESS_DOUBT
+
+
+def _share_below(limits: tuple[float, float], intervals: float) -> float:
+    """Return how far a number of sample intervals is below the second of two limits, 0 to 1."""
+    fully, from_here = limits
+    return float(np.clip((from_here - intervals) / (from_here - fully), 0.0, 1.0))
 
 
 def _doubted_amount(error: StampError, *, is_mature: bool) -> float:

@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes import ContextUpdate
 from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import CHANGE, LATE, LOAD
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
@@ -68,6 +68,10 @@ NODES = {
 }
 """Effect that a form may have for a suspected one, by the name of that. What is late by a part of
 a sample interval is a lag or a delay: a form knows the lag alone."""
+
+LATE_SIGNS = ('', COLOURED_NOISE, *LATE)
+"""What the fit test suspects first, or nothing, where the current of a rotor may lag: a filter
+gives noise a memory, too."""
 
 LOADS = (LOAD_TORQUE, QUADRATIC_FRICTION)
 """What a shaft may carry, the commoner one first."""
@@ -297,7 +301,7 @@ class FormChoice:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
         if fit.verdict is FitVerdict.MISFIT:
             return self._change_count >= NEWEST or not self._may_have_changed(fit)
-        is_late = self.kind.source == ROTOR and likeliest in ('', *LATE) and self.kind.lag is None
+        is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
         return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
 
     @property
@@ -326,7 +330,8 @@ class FormChoice:
         elif self.kind.source == MEASURED and plain is not None:
             kinds += self._with_rotor(plain, fit)
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
-        if self.kind.source == ROTOR and fit.verdict is FitVerdict.WARNING and not suspects:
+        is_vague = not suspects or suspects[0].effect == COLOURED_NOISE
+        if self.kind.source == ROTOR and fit.verdict is FitVerdict.WARNING and is_vague:
             kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing
         for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)

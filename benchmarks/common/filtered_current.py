@@ -1,0 +1,132 @@
+"""Drawn gear motors whose current is filtered as drivers do, and what is claimed of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.claims import claims, is_known, is_near, noisy_readings
+from common.motion import FloatArray
+from common.rotor.records import HIGHEST_V, LONGEST_S, LOWEST_V, SHORTEST_S
+from common.trust.motors import Motor, gear_motor
+from common.trust.plant import Plant
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
+
+MOTOR = 'motor'
+STEPS = 50
+"""Steps of the plant in a sample interval, at least."""
+
+SLOWEST_HZ = 20_000.0
+"""Least rate of the plant's own steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterCase:
+    """How the current of a motor is measured.
+
+    Attributes:
+        averages: whether a reading is the mean of its sample interval.
+        weight: of the newest reading in the moving average that a driver publishes, its noise in
+            it; 1: it publishes the readings.
+        low_pass: time constant of an analogue filter before the reading, in sample intervals.
+        rate_hz: of the samples.
+        speed_noise: of the measured speed, as a share of its spread; None: it is not measured.
+        duration_s: of the record.
+        noise: of a reading, as a share of the current's spread.
+    """
+
+    averages: bool
+    weight: float
+    low_pass: float
+    rate_hz: float
+    speed_noise: float | None
+    duration_s: float
+    noise: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class FilterTrial:
+    """What came of one motor.
+
+    Attributes:
+        is_known: whether R is identified and right at the end.
+        is_near: whether R is right, whatever its verdict.
+        is_misfit: whether the white box does not explain it, at the end.
+        claims, false: identified L and R over all estimates, and those of them that were false.
+    """
+
+    is_known: bool
+    is_near: bool
+    is_misfit: bool
+    claims: int
+    false: int
+
+
+def run_filtered(case: FilterCase, seed: int) -> FilterTrial:
+    """Draw a motor, record it, and run the observer without predictor over the record."""
+    rng = np.random.default_rng([29, seed])
+    motor = gear_motor(rng)
+    voltage = _voltage(case, rng)
+    current, speed = _measured(case, motor, voltage, rng)
+    readings = noisy_readings(speed[None], case.speed_noise, rng)
+    speeds = np.full(speed.size, math.nan) if readings is None else readings[0]
+    constants = {'torque_constant': motor.torque_constant}
+    constants['back_emf_constant'] = motor.back_emf_constant
+    flat: dict[str, object] = {f'{MOTOR}.{name}': value for name, value in constants.items()}
+    observer = Observer(Configuration.from_flat(flat), None)
+    counts = np.zeros(2, dtype=int)
+    volts = [*voltage.tolist(), 0.0]
+    torque = motor.torque_constant * current
+    for place, (volt, reading, own_speed) in enumerate(zip(volts, torque, speeds, strict=True)):
+        stamp_ns = round(place / case.rate_hz * 1e9)
+        results = observer.voltage(MOTOR, stamp_ns, volt)
+        results += observer.torque(MOTOR, stamp_ns, float(reading), float(own_speed))
+        for result in results:
+            if result.estimate is not None:
+                counts += claims(result.estimate, motor)
+    observer.finish()
+    end = observer.estimates()[MOTOR]
+    is_misfit = observer.fit(MOTOR).verdict is FitVerdict.MISFIT
+    return FilterTrial(
+        is_known(end, motor), is_near(end, motor), is_misfit, int(counts[0]), int(counts[1])
+    )
+
+
+def _voltage(case: FilterCase, rng: np.random.Generator) -> FloatArray:
+    """Return random levels, each held for a random time, shape (k,)."""
+    voltage = np.empty(round(case.duration_s * case.rate_hz))
+    begin = 0
+    while begin < voltage.size:
+        hold = max(1, round(rng.uniform(SHORTEST_S, LONGEST_S) * case.rate_hz))
+        voltage[begin : begin + hold] = rng.uniform(LOWEST_V, HIGHEST_V)
+        begin += hold
+    return voltage
+
+
+def _measured(
+    case: FilterCase, motor: Motor, voltage_v: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return measured currents and true speeds, shape (k + 1,) each."""
+    steps = max(STEPS, math.ceil(SLOWEST_HZ / case.rate_hz))
+    plant = Plant(motor, 1.0 / (case.rate_hz * steps))
+    course, speeds = map(np.array, plant.run(np.repeat(voltage_v, steps).tolist()))
+    if case.low_pass > 0.0:
+        course = moving_average(course, 1.0 - math.exp(-1.0 / (steps * case.low_pass)))
+    read = course.reshape(-1, steps)
+    current = np.array([0.0, *(read.mean(axis=1) if case.averages else read[:, -1])])
+    current += case.noise * current.std() * rng.normal(size=current.size)
+    return moving_average(current, case.weight), np.array([0.0, *speeds[steps - 1 :: steps]])
+
+
+def moving_average(values: FloatArray, weight: float) -> FloatArray:
+    """Return the exponential moving average from 0 on, shape (n,); weight 1 changes nothing."""
+    averages = np.empty_like(values)
+    average = 0.0
+    for place, value in enumerate(values.tolist()):
+        average += weight * (value - average)
+        averages[place] = average
+    return averages
