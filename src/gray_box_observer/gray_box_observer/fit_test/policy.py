@@ -88,8 +88,9 @@ SHORTEST = (0.6, 0.8)
 the first fully."""
 
 SHORT = (1.0, 1.4)
-"""The same as far as the inductance goes: a current that is the mean of its interval, or smoothed,
-looks like one of a larger inductance, which half an interval contains."""
+"""The same of a rotor whose speed nobody measures, as far as the inductance goes: a current that is
+the mean of its interval, or smoothed, looks like one of a larger inductance. Half an interval
+contains it."""
 
 UNTOLD_DELAY = 0.05
 """Standard deviation of a delay, in sample intervals, from which the data need not show half an
@@ -199,6 +200,7 @@ def judge(
     *,
     speed_measured: bool,
     stamps_exact: bool,
+    speed_is_hidden: bool = False,
     is_doubted: bool = False,
     is_drifting: bool = False,
 ) -> Judgement:
@@ -208,8 +210,9 @@ def judge(
         analysis: of its residual.
         relative_std: shape (parameter,): what its estimate says now.
         samples: how many its estimate rests on.
-        speed_measured: whether its speed is a signal.
+        speed_measured: whether its speed is a signal, or a state of its own.
         stamps_exact: whether the voltage acts at the very instant of its stamp.
+        speed_is_hidden: whether it is that of a rotor which nobody measures.
         is_doubted: whether it did not fit so far: less is enough then to go on doubting.
         is_drifting: whether it is followed as a winding that heats, which leaves a white residual.
     """
@@ -253,7 +256,7 @@ def judge(
     if not stamps_exact:
         of_inductance = np.zeros_like(analysis.delay.shift)
         of_inductance[INDUCTANCE] = analysis.delay.shift[INDUCTANCE]
-        share = _share_below(SHORT, analysis.intervals)
+        share = _share_below(SHORT, analysis.intervals) if speed_is_hidden else 0.0
         unknown_shifts.append((share * UNIFORM_STD, of_inductance))
         unknown_shifts += [
             (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)

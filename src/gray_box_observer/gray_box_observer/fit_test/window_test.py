@@ -320,6 +320,7 @@ class WindowTest:
             motor.place - motor.begin,
             speed_measured=self._knows_speed,
             stamps_exact=bool(self.configuration.values['stamps_exact']),
+            speed_is_hidden=self.white_box.has_rotor,
             is_doubted=before is not None and before.is_lasting_misfit,
             is_drifting=is_drifting,
         )

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import (
+    COUNTS_AS_KNOWN,
     Estimate,
     Verdict,
     VerdictSettings,
@@ -176,11 +177,16 @@ class RotorUpdate:
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def _as_far_as_loaded(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
-        """Return verdicts of a motor whose load varies: of its rotor nothing is known for good."""
-        pairs = zip(self._white_box.context_nodes, verdicts, strict=True)
+        """Return verdicts of a motor whose load varies: of its rotor nothing is known for good.
+
+        Where R is open the load may have taken anything, and what the current does at once, too.
+        """
+        own_verdicts = dict(zip(self._white_box.context_nodes, verdicts, strict=True))
+        resistance = own_verdicts.get('resistance', Verdict.IDENTIFIED)  # one that is stated
+        is_open = resistance not in COUNTS_AS_KNOWN
         return tuple(
-            unsettled(verdict) if TERMS[name].state is State.SPEED else verdict
-            for name, verdict in pairs
+            unsettled(verdict) if is_open or TERMS[name].state is State.SPEED else verdict
+            for name, verdict in own_verdicts.items()
         )
 
     def learn(self, sample: Sample) -> bool:
