@@ -115,11 +115,13 @@ def test_what_fits_on_a_weak_basis_is_not_identified() -> None:
     fitting = result_of(np.ones(COUNT), np.zeros((COUNT, COUNT)))
     identified = (Verdict.IDENTIFIED,) * COUNT
     nodes = nodes_with([], [])
-    for is_credible, verdict in ((True, Verdict.IDENTIFIED), (False, Verdict.CONVERGING)):
-        limit = EstimateLimit(BOX.parameters, fitting, is_credible=is_credible)
-        assert limit.is_open == is_credible
+    names = [parameter.name for parameter in BOX.parameters]
+    for open_names in ((), names[:1], names):
+        limit = EstimateLimit(BOX.parameters, fitting, open_parameters=open_names)
+        assert limit.is_open == (not open_names)
         left = limit.apply(nodes, 0, np.ones(COUNT), np.eye(COUNT), identified)
-        assert left == (verdict,) * COUNT
+        count = len(open_names)
+        assert left == (Verdict.CONVERGING,) * count + (Verdict.IDENTIFIED,) * (COUNT - count)
 
 
 def test_a_frozen_motor_stays_frozen_and_is_known_less_well() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from functools import partial
 
 from gray_box_observer.context_nodes.estimate import (
@@ -27,7 +28,7 @@ class EstimateLimit:
     Args:
         parameters: of the motor.
         result: of its newest test; None: it was never tested, and nothing of it is identified.
-        is_credible: whether what fits may be called identified.
+        open_parameters: which are not to be identified, though all fits.
 
     Attributes:
         widens: whether covariances grow.
@@ -39,10 +40,11 @@ class EstimateLimit:
         parameters: tuple[Parameter, ...],
         result: FitResult | None,
         *,
-        is_credible: bool = True,
+        open_parameters: Collection[str] = (),
     ) -> None:
         self._parameters = parameters
-        self._is_settled = result is not None and is_credible
+        names = [parameter.name for parameter in parameters]
+        self._is_open = [result is None or name in open_parameters for name in names]
         self._is_misfit = result is not None and result.assessment.verdict is FitVerdict.MISFIT
         self._judgement: Judgement | None = None
         if result is not None and result.judgement.widens:
@@ -55,7 +57,7 @@ class EstimateLimit:
                 self._judgement.furthest,
             )
         self.widens = self._judgement is not None
-        self.is_open = self._is_settled and not (self._is_misfit or self.widens)
+        self.is_open = not (any(self._is_open) or self._is_misfit or self.widens)
         self._last: tuple[tuple[Verdicts, Verdicts], Verdicts] = ((), ()), ()
 
     def apply(
@@ -81,7 +83,8 @@ class EstimateLimit:
                 verdicts = self._no_better(judged_verdicts, verdicts)
         if self._is_misfit:
             return tuple(map(misfit, verdicts))
-        return verdicts if self._is_settled else tuple(map(unsettled, verdicts))
+        pairs = zip(verdicts, self._is_open, strict=True)
+        return tuple(unsettled(verdict) if is_open else verdict for verdict, is_open in pairs)
 
     def _widen(
         self, judgement: Judgement, nodes: ContextUpdate, motor: int, value: Array,

@@ -132,8 +132,11 @@ class FitMonitor:
         """Keep what a test has left, and how far that limits estimates."""
         self._results[motor] = result
         parameters = self._tests[motor].white_box.parameters
-        is_credible = result is None or self._basis.bears(result.assessment)
-        limit = EstimateLimit(parameters, result, is_credible=is_credible)
+        names = [parameter.name for parameter in parameters]
+        open_parameters: frozenset[str] = frozenset()
+        if result is not None:
+            open_parameters = self._basis.open_parameters(result.assessment, names)
+        limit = EstimateLimit(parameters, result, open_parameters=open_parameters)
         if limit.is_open:
             self._limits.pop(motor, None)
         else:

@@ -256,8 +256,8 @@ def judge(
     if not stamps_exact:
         of_inductance = np.zeros_like(analysis.delay.shift)
         of_inductance[INDUCTANCE] = analysis.delay.shift[INDUCTANCE]
-        share = _share_below(SHORT, analysis.intervals) if speed_is_hidden else 0.0
-        unknown_shifts.append((share * UNIFORM_STD, of_inductance))
+        share = _share_below(SHORT, analysis.intervals) * UNIFORM_STD if speed_is_hidden else 0.0
+        unknown_shifts.append((max(share - late, 0.0), of_inductance))
         unknown_shifts += [
             (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
             for error in (analysis.delay, analysis.lead)

@@ -2,31 +2,33 @@
 
 Where nobody measures the speed of a rotor, friction and inertia give way to what is left out. A
 filter of the current moved R by 2 to 14 % and L by more than its own size, and left 1.2 to 3 times
-the noise. Residuals of motors that are right stay below.
+the noise. Beside a measured speed it moves L alone. Residuals of motors that are right stay below.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.white_box import MotorWhiteBox
 
-HIDDEN_RATIO = 1.1
-"""Residual over noise floor up to which a rotor whose speed nobody measures is believed."""
+LARGEST_RATIO = 1.1
+"""Residual over noise floor up to which all is believed."""
 
-HIDDEN_SPREAD = 4.0
-"""How far beyond 1 the ratio may come by chance there, times the root of the samples: three of its
+SPREAD = 4.0
+"""How far beyond 1 the ratio may come by chance, times the root of the samples: three of its
 standard deviations."""
 
 
 class SpeedBasis(Enum):
     """What is known of the speed that a fit rests on."""
 
-    SOUND = 'measured, its noise fitted too, or Kt i'
-    HIDDEN = 'a state that nobody measures'
+    ASSUMED = 'Kt i'
+    MEASURED = 'measured, its noise fitted too'
     EXACT = 'measured, and taken for exact: what is left may come of its noise'
+    HIDDEN = 'a state that nobody measures'
 
     @classmethod
     def from_form(cls, white_box: MotorWhiteBox, motors: int) -> SpeedBasis:
@@ -38,11 +40,23 @@ class SpeedBasis(Enum):
         """
         if white_box.has_rotor:
             return cls.HIDDEN
-        return cls.EXACT if motors > 1 and white_box.speed_measured else cls.SOUND
+        if not white_box.speed_measured:
+            return cls.ASSUMED
+        return cls.MEASURED if motors == 1 else cls.EXACT
 
-    def bears(self, fit: FitAssessment) -> bool:
-        """Tell whether anything may be identified beside what a fit leaves."""
-        if self is SpeedBasis.HIDDEN:
-            by_chance = 1.0 + HIDDEN_SPREAD / math.sqrt(max(fit.samples, 1))
-            return not fit.ratio > max(HIDDEN_RATIO, by_chance)
-        return self is SpeedBasis.SOUND or fit.verdict is not FitVerdict.WARNING
+    def open_parameters(self, fit: FitAssessment, names: Sequence[str]) -> frozenset[str]:
+        """Return which parameters are not to be identified beside what a fit leaves.
+
+        Args:
+            fit: what is known of it.
+            names: of all parameters.
+        """
+        by_chance = 1.0 + SPREAD / math.sqrt(max(fit.samples, 1))
+        is_large = fit.ratio > max(LARGEST_RATIO, by_chance)
+        if self is SpeedBasis.HIDDEN and is_large:
+            return frozenset(names)
+        if self is SpeedBasis.EXACT and fit.verdict is FitVerdict.WARNING:
+            return frozenset(names)
+        if self in (SpeedBasis.MEASURED, SpeedBasis.EXACT) and is_large:
+            return frozenset({'inductance'})
+        return frozenset()

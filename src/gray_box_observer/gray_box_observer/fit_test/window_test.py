@@ -52,6 +52,7 @@ from gray_box_observer.fit_test.policy import (
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analysis_in_pieces
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
+from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.fit_test.suspects import (
     Explanation,
     explanations_in_pieces,
@@ -327,6 +328,9 @@ class WindowTest:
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0])
+        is_stated = self.configuration.values['speed_source'] == 'measured'
+        if white_box.speed_measured and not is_stated and stands_still(white_box, theta, content):
+            judgement = with_shifts(judgement, np.ones(theta.shape[1]))  # it may be no speed at all
         if lag is not None and (samples[INTERVAL] > 0.0).any():
             interval_s = float(median(samples[INTERVAL, samples[INTERVAL] > 0.0]))
             stamps_exact = bool(self.configuration.values['stamps_exact'])

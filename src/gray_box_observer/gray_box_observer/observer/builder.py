@@ -354,7 +354,7 @@ def _forecasting(
     count = len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
-    # every trainer is a process with a context of its own on the device: one a motor would fill it
+    # jobs of fewer motors are so small that a device idles
     taught_on = device if device is not None and count >= DEVICE_FROM else CPU
     rules = TrainingSettings(
         variant=Variant(configuration['variant']),

@@ -20,6 +20,8 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
+from gray_box_observer.fit_test.speed_basis import SpeedBasis
+from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
     FEW_CANDIDATES,
@@ -40,7 +42,6 @@ from gray_box_observer.observer.motor_form import (
     residual_a,
 )
 from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.still_speed import stands_still
 from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
@@ -178,8 +179,14 @@ class FormChoice:
 
         From a measured one they do where its reading stands still, which nobody expects.
         """
-        is_choice = self._open is not None and len(self._open.sources) > 1
-        return is_choice and self.kind.source != MEASURED
+        other = self.kind.with_other_source
+        is_measured = self.kind.source == MEASURED
+        return (
+            self._open is not None
+            and not is_measured
+            and other is not None
+            and (other.source in self._open.sources)
+        )
 
     def may_take(self, kind: FormKind) -> bool:
         """Tell whether data may lead to a form."""
@@ -261,7 +268,7 @@ class FormChoice:
         self._budget.pieces = 0
         form = outcome.form
         is_other_lag = outcome.kind is not None and outcome.kind.is_same_but_for_lag(self.kind)
-        is_needed = fit.verdict in (FitVerdict.MISFIT, FitVerdict.WARNING)
+        is_needed = fit.verdict is FitVerdict.MISFIT or self._is_uneasy(fit)
         if form is None or not (is_needed or is_other_lag):
             self._pace.end(place)
             self._reasons.refusal = outcome.reason if self._is_doubted(fit) else ''
@@ -302,7 +309,13 @@ class FormChoice:
         if fit.verdict is FitVerdict.MISFIT:
             return self._change_count >= NEWEST or not self._may_have_changed(fit)
         is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
-        return fit.verdict is FitVerdict.WARNING and (likeliest == ROTOR or is_late)
+        return self._is_uneasy(fit) and (likeliest == ROTOR or is_late)
+
+    def _is_uneasy(self, fit: FitAssessment) -> bool:
+        """Tell whether a fit warns, or leaves so much beside a hidden speed that nothing counts."""
+        is_hidden = self.kind.source == ROTOR and fit.verdict is FitVerdict.OK
+        is_open = is_hidden and bool(SpeedBasis.HIDDEN.open_parameters(fit, (ROTOR,)))
+        return fit.verdict is FitVerdict.WARNING or is_open
 
     @property
     def _has_open_lag(self) -> bool:
@@ -331,7 +344,7 @@ class FormChoice:
             kinds += self._with_rotor(plain, fit)
         suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
         is_vague = not suspects or suspects[0].effect == COLOURED_NOISE
-        if self.kind.source == ROTOR and fit.verdict is FitVerdict.WARNING and is_vague:
+        if self.kind.source == ROTOR and self._is_uneasy(fit) and is_vague:
             kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing
         for suspect in suspects:  # fits of a rotor cost most
             node = NODES.get(suspect.effect)
@@ -461,6 +474,7 @@ class FormChoice:
             'effects_reason': self._reasons.effects,
             'refusal': self._reasons.refusal,
             'is_open': self.is_open,
+            'has_reading': self._open is not None and MEASURED in self._open.sources,
             'due': self._pace.due - place,
             'wait': self._pace.wait,
             'trials': self._pace.trials,

@@ -157,7 +157,7 @@ class MotorForm:
         context_nodes: the rule that learns the parameters.
         delay: asks whether voltage and torque are shifted against each other.
         fit: asks whether the white box explains the data.
-        make_forecasting: makes what predicts torque, and costs a process: only of a form that is
+        make_forecasting: makes what predicts torque, and has a trainer: only of a form that is
             used; None where nothing predicts.
         scales: what is not known of the scales of the signals; None where nothing is said of it.
         voltage_path: makes of commands the voltages that the white box takes; None: they are the

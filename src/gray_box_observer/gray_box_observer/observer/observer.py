@@ -481,7 +481,10 @@ class Observer:
         results: list[GroupResult] = []
         for part in parts:
             samples: list[Sample] = []
+            observer = part.group.observer
             try:
+                if observer is not None:  # the form that it has gone over to may need no speed
+                    part.group.pairing.needs_speed = observer.white_box.speed_measured
                 samples = part.ingest(signal, stamp_ns, values, speeds)
                 if samples:
                     results += self._learn(part.group, samples)
@@ -516,7 +519,6 @@ class Observer:
                     )
                 continue
             update, estimate = observer.step(sample)
-            pairing.needs_speed = observer.white_box.speed_measured  # another form may need none
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError(NOT_FINITE)
             results.append(

@@ -43,7 +43,7 @@ def restored_observer(
         if name not in motors and group.observer is not None:
             motors[name] = group.observer.state(place)
     own_motors = {name: motors[name] for name in group.names if name in motors}
-    has_speed = any(bool(plain['white_box']['speed_measured']) for plain, _ in own_motors.values())
+    has_speed = any(_has_speed(plain) for plain, _ in own_motors.values())
     alone = own_motors.get(group.names[0]) if len(group.names) == 1 else None
     observer = make(group, has_speed, None if alone is None else _saved_kind(alone[0]))
     try:
@@ -60,6 +60,13 @@ def restored_observer(
         observer.close()
         raise
     return observer
+
+
+def _has_speed(plain: dict[str, Any]) -> bool:
+    """Tell whether a saved motor came with a measured speed, used or left out."""
+    choice = plain.get('speed', {})
+    is_left_out = isinstance(choice, dict) and choice.get('has_reading') is True
+    return bool(plain['white_box']['speed_measured']) or is_left_out
 
 
 def _saved_kind(plain: dict[str, Any]) -> FormKind:

@@ -187,7 +187,7 @@ class _Child:
         self._messages: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._trainings: dict[int, ProcessTraining] = {}
         self._complaints: list[str] = []
-        self.has_ended = False
+        self._is_read_out = False
         threading.Thread(target=self._write, daemon=True, name='training jobs').start()
         self._listener = threading.Thread(
             target=self._listen, daemon=True, name='training messages'
@@ -195,11 +195,16 @@ class _Child:
         self._listener.start()
         threading.Thread(target=self._read, daemon=True, name='training results').start()
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it trains no more."""
+        return self._is_read_out or self._process.poll() is not None
+
     def begin(self, number: int, training: ProcessTraining, configuration: dict[str, Any]) -> None:
         """Make a trainer; the number is its own."""
         self._trainings[number] = training
         self._messages.put({'trainer': number, 'task': BEGIN, **configuration})
-        if self.has_ended:  # meanwhile: nobody else will say so
+        if self._is_read_out:  # meanwhile: nobody else will say so
             training.fail(self._reason)
 
     def submit(self, training: ProcessTraining, job: dict[str, Any]) -> None:
@@ -246,7 +251,8 @@ class _Child:
         self._listener.join(timeout=1.0)
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout=1.0)
-        self.has_ended = True
+        self._is_read_out = True
+        self._messages.put(None)
         for training in [*self._trainings.values()]:
             training.fail(self._reason)
 

@@ -1,7 +1,7 @@
-"""A measured speed that is none: drivers that measure no speed often publish 0, and encoders fail.
+"""A measured speed that stands still: none is measured, an encoder has failed, or a shaft is held.
 
-A rotor that is held stands still, too. Then the white box explains the data with that speed, so
-that nobody asks.
+Drivers that measure no speed often publish 0. Data cannot always tell: a light rotor in thick oil
+looks like a shaft that is held, with a larger resistance.
 """
 
 from __future__ import annotations
