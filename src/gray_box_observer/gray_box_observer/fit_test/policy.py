@@ -87,7 +87,7 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
-SHORT = (1.0, 1.4)
+SHORT = (0.8, 1.0)
 """The same of a rotor whose speed nobody measures, as far as the inductance goes: a current that is
 the mean of its interval, or smoothed, looks like one of a larger inductance. Half an interval
 contains it."""
