@@ -9,7 +9,7 @@ import numpy as np
 
 from common.claims import claims, is_known, is_near, noisy_readings
 from common.motion import FloatArray
-from common.rotor.records import HIGHEST_V, LONGEST_S, LOWEST_V, SHORTEST_S
+from common.rotor.records import random_levels
 from common.trust.motors import Motor, gear_motor
 from common.trust.plant import Plant
 from gray_box_observer.fit_test import FitVerdict
@@ -70,7 +70,7 @@ def run_filtered(case: FilterCase, seed: int) -> FilterTrial:
     """Draw a motor, record it, and run the observer without predictor over the record."""
     rng = np.random.default_rng([29, seed])
     motor = gear_motor(rng)
-    voltage = _voltage(case, rng)
+    voltage = random_levels(case.rate_hz, case.duration_s, rng)
     current, speed = _measured(case, motor, voltage, rng)
     readings = noisy_readings(speed[None], case.speed_noise, rng)
     speeds = np.full(speed.size, math.nan) if readings is None else readings[0]
@@ -94,17 +94,6 @@ def run_filtered(case: FilterCase, seed: int) -> FilterTrial:
     return FilterTrial(
         is_known(end, motor), is_near(end, motor), is_misfit, int(counts[0]), int(counts[1])
     )
-
-
-def _voltage(case: FilterCase, rng: np.random.Generator) -> FloatArray:
-    """Return random levels, each held for a random time, shape (k,)."""
-    voltage = np.empty(round(case.duration_s * case.rate_hz))
-    begin = 0
-    while begin < voltage.size:
-        hold = max(1, round(rng.uniform(SHORTEST_S, LONGEST_S) * case.rate_hz))
-        voltage[begin : begin + hold] = rng.uniform(LOWEST_V, HIGHEST_V)
-        begin += hold
-    return voltage
 
 
 def _measured(

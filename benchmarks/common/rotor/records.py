@@ -132,13 +132,7 @@ def draw(
     """
     rng = np.random.default_rng([17, seed])
     motor = kind(rng)
-    count = round(duration_s * rate_hz)
-    voltage = np.empty(count)
-    begin = 0
-    while begin < count:
-        hold = max(1, round(rng.uniform(SHORTEST_S, LONGEST_S) * rate_hz))
-        voltage[begin : begin + hold] = rng.uniform(LOWEST_V, HIGHEST_V)
-        begin += hold
+    voltage = random_levels(rate_hz, duration_s, rng)
     steps = max(1, math.ceil(SLOWEST_HZ / rate_hz))
     plant = Plant(motor, 1.0 / (rate_hz * steps))
     currents, speeds = plant.run(np.repeat(voltage, steps).tolist())
@@ -147,3 +141,14 @@ def draw(
     noise_a = noise * float(np.std(current))
     measured = current + rng.normal(0.0, noise_a, current.size)
     return Record(motor, 1.0 / rate_hz, voltage, current, measured, noise_a, speed)
+
+
+def random_levels(rate_hz: float, duration_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return ``R[-12,12]D[0.05,0.5]``: levels in V, each held for a random time, shape (k,)."""
+    voltage = np.empty(round(duration_s * rate_hz))
+    begin = 0
+    while begin < voltage.size:
+        hold = max(1, round(rng.uniform(SHORTEST_S, LONGEST_S) * rate_hz))
+        voltage[begin : begin + hold] = rng.uniform(LOWEST_V, HIGHEST_V)
+        begin += hold
+    return voltage

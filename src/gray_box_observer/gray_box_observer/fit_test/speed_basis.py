@@ -51,12 +51,16 @@ class SpeedBasis(Enum):
             fit: what is known of it.
             names: of all parameters.
         """
-        by_chance = 1.0 + SPREAD / math.sqrt(max(fit.samples, 1))
-        is_large = fit.ratio > max(LARGEST_RATIO, by_chance)
-        if self is SpeedBasis.HIDDEN and is_large:
+        if self is SpeedBasis.HIDDEN and leaves_much(fit):
             return frozenset(names)
         if self is SpeedBasis.EXACT and fit.verdict is FitVerdict.WARNING:
             return frozenset(names)
-        if self in (SpeedBasis.MEASURED, SpeedBasis.EXACT) and is_large:
+        if self in (SpeedBasis.MEASURED, SpeedBasis.EXACT) and leaves_much(fit):
             return frozenset({'inductance'})
         return frozenset()
+
+
+def leaves_much(fit: FitAssessment) -> bool:
+    """Tell whether a residual is larger than what is believed to the last parameter."""
+    by_chance = 1.0 + SPREAD / math.sqrt(max(fit.samples, 1))
+    return fit.ratio > max(LARGEST_RATIO, by_chance)

@@ -20,7 +20,7 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
-from gray_box_observer.fit_test.speed_basis import SpeedBasis
+from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import (
@@ -314,8 +314,7 @@ class FormChoice:
     def _is_uneasy(self, fit: FitAssessment) -> bool:
         """Tell whether a fit warns, or leaves so much beside a hidden speed that nothing counts."""
         is_hidden = self.kind.source == ROTOR and fit.verdict is FitVerdict.OK
-        is_open = is_hidden and bool(SpeedBasis.HIDDEN.open_parameters(fit, (ROTOR,)))
-        return fit.verdict is FitVerdict.WARNING or is_open
+        return fit.verdict is FitVerdict.WARNING or (is_hidden and leaves_much(fit))
 
     @property
     def _has_open_lag(self) -> bool:
