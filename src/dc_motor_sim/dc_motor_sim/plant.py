@@ -16,7 +16,7 @@ all four quadrants.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from types import SimpleNamespace
 from typing import Any
@@ -43,6 +43,19 @@ MAX_SUBSTEPS = 100_000
 
 MOST_BY_NUMBERS = 8
 """Motors up to which plain numbers, a motor at a time, are faster than arrays of all motors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Functions:
+    """Functions of the equations, of numbers or of arrays."""
+
+    tanh: Callable[[Any], Any]
+    sqrt: Callable[[Any], Any]
+    maximum: Callable[[Any, Any], Any]
+
+
+OF_NUMBERS = Functions(math.tanh, math.sqrt, max)
+OF_ARRAYS = Functions(np.tanh, np.sqrt, np.maximum)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,24 +177,16 @@ class Plant:
             for f in fields(PlantParameters)
         }
         self._columns = SimpleNamespace(**columns)
-        self._L: FloatArray = columns['inductance']
-        self._R: FloatArray = columns['resistance']
-        self._K: FloatArray = columns['hysteresis']
         self._Kt: FloatArray = columns['torque_constant']
-        self._Kb: FloatArray = columns['back_emf_constant']
-        self._Vb: FloatArray = columns['brush_drop']
-        self._J: FloatArray = columns['inertia']
-        self._b: FloatArray = columns['viscous_friction']
-        self._Tc: FloatArray = columns['coulomb_friction']
-        self._C: FloatArray = columns['quadratic_friction']
         self._Tl: FloatArray = columns['load_torque']
         self.load_walk: FloatArray = columns['load_walk']
         self._V0: FloatArray = columns['voltage_offset']
         self._dead_zone: FloatArray = columns['dead_zone']
         self._is_driver_ideal = not (self._V0.any() or self._dead_zone.any())
-        self._brushes = bool(self._Vb.any())
-        self._has_fan = bool(self._C.any())
+        self._brushes = bool(columns['brush_drop'].any())
+        self._has_fan = bool(columns['quadratic_friction'].any())
         self._rotor = speed_mode == 'rotor'
+        self._constant_rate = self._constant_solver_rate()
 
     def initial_state(self) -> FloatArray:
         """Return every motor at rest and without current."""
@@ -225,23 +230,17 @@ class Plant:
         load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         # An overflow becomes a named error below, so numpy's own warning would only repeat it.
         with np.errstate(over='ignore', invalid='ignore'):
-            if len(self.motors) <= MOST_BY_NUMBERS:
+            if self._is_by_numbers:
                 after = np.array(
                     [
                         integrate(
-                            self._derivative(motor, volt, load, math.tanh), row, step_s, substeps
+                            self._derivative(motor, volt, load, OF_NUMBERS), row, step_s, substeps
                         )
-                        for motor, volt, load, row in zip(
-                            self.motors,
-                            inner_v.tolist(),
-                            load_nm.tolist(),
-                            state.tolist(),
-                            strict=True,
-                        )
+                        for motor, row, volt, load in self._rows(state, inner_v, load_nm)
                     ]
                 )
             else:
-                derivative = self._derivative(self._columns, inner_v, load_nm, np.tanh)
+                derivative = self._derivative(self._columns, inner_v, load_nm, OF_ARRAYS)
                 columns = integrate(derivative, tuple(state.T), step_s, substeps)
                 after = np.stack(columns, axis=1)
         if not np.isfinite(after).all():
@@ -252,6 +251,18 @@ class Plant:
             )
         return after
 
+    @property
+    def _is_by_numbers(self) -> bool:
+        """Whether motors are computed one at a time."""
+        return len(self.motors) <= MOST_BY_NUMBERS
+
+    def _rows(
+        self, state: FloatArray, voltage_v: FloatArray, load_nm: FloatArray
+    ) -> Iterator[tuple[PlantParameters, State, float, float]]:
+        """Yield parameters, state, voltage and load of one motor after the other."""
+        states = map(tuple, state.tolist())
+        return zip(self.motors, states, voltage_v.tolist(), load_nm.tolist(), strict=True)
+
     def _inner_voltage(self, voltage_v: FloatArray) -> FloatArray:
         """Return the voltage in V that reaches the motor of the one that is published."""
         if self._is_driver_ideal:
@@ -261,7 +272,7 @@ class Plant:
         return inner_v
 
     def _derivative(
-        self, motor: Any, voltage_v: Any, load_nm: Any, tanh: Callable[[Any], Any]
+        self, motor: Any, voltage_v: Any, load_nm: Any, functions: Functions
     ) -> Derivative:
         """Return the time derivative of a state under a voltage (equation 4.4 in thesis mode).
 
@@ -269,7 +280,7 @@ class Plant:
             motor: Parameters of one motor, or arrays of those of all motors.
             voltage_v: The voltage that reaches it, or them.
             load_nm: Its load torque, or theirs.
-            tanh: Of numbers, or of arrays.
+            functions: Of numbers, or of arrays.
         """
         L = motor.inductance
         R = motor.resistance
@@ -281,6 +292,7 @@ class Plant:
         b = motor.viscous_friction
         T_c = motor.coulomb_friction
         C = motor.quadratic_friction
+        tanh = functions.tanh
         lag_s = self.torque_lag_s
         has_brushes = self._brushes
         has_fan = self._has_fan
@@ -330,18 +342,16 @@ class Plant:
         """
         inner_v = self._inner_voltage(voltage_v)
         load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
-        fastest = (
-            self._rotor_rate(state, inner_v, load_nm, step_s)
-            if self._rotor
-            else self._rate(state, inner_v)
-        )
-        rate = STEPS_PER_TIME_CONSTANT * float(fastest.max())
-        if self.torque_lag_s > 0.0:
-            rate = max(rate, STEPS_PER_TIME_CONSTANT / self.torque_lag_s)
-        if self._brushes:
-            rate = max(rate, float((self._Vb / (BRUSH_SMOOTHING_A * self._L)).max()))
-        if self._rotor:
-            rate = max(rate, float((self._Tc / (FRICTION_SMOOTHING_RAD_S * self._J)).max()))
+        if self._is_by_numbers:
+            rows = self._rows(state, inner_v, load_nm)
+            fastest: float = max(
+                self._rate(motor, row, volt, load, step_s, OF_NUMBERS)
+                for motor, row, volt, load in rows
+            )
+        else:
+            rates = self._rate(self._columns, state.T, inner_v, load_nm, step_s, OF_ARRAYS)
+            fastest = float(rates.max())
+        rate = max(STEPS_PER_TIME_CONSTANT * fastest, self._constant_rate)
         substeps = max(math.ceil(step_s / solver_step_s - 1e-9), math.ceil(step_s * rate - 1e-9), 1)
         if substeps > MAX_SUBSTEPS:
             raise PlantError(
@@ -351,29 +361,66 @@ class Plant:
             )
         return substeps
 
-    def _rate(self, state: FloatArray, voltage_v: FloatArray) -> FloatArray:
-        """Inverse of the electrical time constant in thesis mode, 1/s, shape (motor,).
-
-        The differential resistance is `r + 2 k |i|` with `r = R + Kb Kt`, `k = K_HS Kt`; in the
-        steady state of V it is the root of the discriminant of `k i^2 + r i = |V|`.
-        """
-        r = self._R + self._Kb * self._Kt
-        k = self._K * self._Kt
-        final = np.sqrt(r * r + 4.0 * k * np.abs(voltage_v))
-        rate: FloatArray = np.maximum(final, r + 2.0 * k * np.abs(state[:, 0])) / self._L
+    def _constant_solver_rate(self) -> float:
+        """Return how many solver steps a second sensor and smoothed signs need in any state."""
+        rate = 0.0
+        if self.torque_lag_s > 0.0:
+            rate = STEPS_PER_TIME_CONSTANT / self.torque_lag_s
+        motor = self._columns
+        if self._brushes:
+            brushes = motor.brush_drop / (BRUSH_SMOOTHING_A * motor.inductance)
+            rate = max(rate, float(brushes.max()))
+        if self._rotor:
+            friction = motor.coulomb_friction / (FRICTION_SMOOTHING_RAD_S * motor.inertia)
+            rate = max(rate, float(friction.max()))
         return rate
 
-    def _rotor_rate(
-        self, state: FloatArray, voltage_v: FloatArray, load_nm: FloatArray, step_s: float
-    ) -> FloatArray:
-        """Bound on the fastest electrical or mechanical rate in the coming step, 1/s, (motor,)."""
-        current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
-        torque = self._Kt * current + np.abs(load_nm)
-        speed_gain = torque / np.maximum(
-            self._J / step_s, self._b
-        )  # inertia or friction, whichever limits more
-        speed = np.abs(state[:, 1]) + speed_gain
-        electrical = (self._R + self._K * speed) / self._L
-        coupling_rate = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))
-        friction = (self._b + 2.0 * self._C * speed) / self._J
-        return np.maximum(np.maximum(electrical, coupling_rate), friction)
+    def _rate(
+        self, motor: Any, state: Any, voltage_v: Any, load_nm: Any, step_s: float,
+        functions: Functions,
+    ) -> Any:  # fmt: skip
+        """Return a bound on the fastest rate in the coming step in 1/s; see `_derivative`.
+
+        Args:
+            motor: Parameters of one motor, or arrays of those of all motors.
+            state: Its state, or rows of all states, variable by variable.
+            voltage_v: The voltage that reaches it, or them.
+            load_nm: Its load torque, or theirs.
+            step_s: Time to advance in s.
+            functions: Of numbers, or of arrays.
+        """
+        if self._rotor:
+            return _rotor_rate(motor, state[0], state[1], voltage_v, load_nm, step_s, functions)
+        return _thesis_rate(motor, state[0], voltage_v, functions)
+
+
+def _thesis_rate(motor: Any, current: Any, voltage_v: Any, functions: Functions) -> Any:
+    """Inverse of the electrical time constant where the speed follows the current.
+
+    The differential resistance is `r + 2 k |i|` with `r = R + Kb Kt`, `k = K_HS Kt`; in the steady
+    state of V it is the root of the discriminant of `k i^2 + r i = |V|`.
+    """
+    r = motor.resistance + motor.back_emf_constant * motor.torque_constant
+    k = motor.hysteresis * motor.torque_constant
+    final = functions.sqrt(r * r + 4.0 * k * abs(voltage_v))
+    return functions.maximum(final, r + 2.0 * k * abs(current)) / motor.inductance
+
+
+def _rotor_rate(
+    motor: Any, current: Any, speed: Any, voltage_v: Any, load_nm: Any, step_s: float,
+    functions: Functions,
+) -> Any:  # fmt: skip
+    """Bound on the fastest electrical or mechanical rate of a motor whose speed is a state."""
+    maximum = functions.maximum
+    L = motor.inductance
+    K = motor.hysteresis
+    Kt = motor.torque_constant
+    J = motor.inertia
+    most_current = maximum(abs(current), abs(voltage_v) / motor.resistance)
+    torque = Kt * most_current + abs(load_nm)
+    # inertia or friction, whichever limits more
+    most_speed = abs(speed) + torque / maximum(J / step_s, motor.viscous_friction)
+    electrical = (motor.resistance + K * most_speed) / L
+    coupling = functions.sqrt(Kt * (motor.back_emf_constant + K * most_current) / (L * J))
+    friction = (motor.viscous_friction + 2.0 * motor.quadratic_friction * most_speed) / J
+    return maximum(maximum(electrical, coupling), friction)

@@ -316,11 +316,10 @@ class LoadWalk:
         Returns:
             Load torques in N m, shape (motor,); None where none has ever wandered.
         """
-        walkers = np.flatnonzero(walk).tolist()
-        if not walkers and self.load_nm is None:
+        if self.load_nm is None and not walk.any():
             return None
         load_nm = np.zeros(self._motors) if self.load_nm is None else self.load_nm.copy()
-        for motor in walkers:
+        for motor in np.flatnonzero(walk).tolist():
             if motor not in self._streams:
                 self._streams[motor] = generator(self._seed, motor, Purpose.LOAD_WALK)
             step = self._streams[motor].standard_normal()
