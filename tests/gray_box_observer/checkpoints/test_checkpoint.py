@@ -429,7 +429,9 @@ def test_arrays_of_any_numeric_type_and_shape_come_back_as_they_were(
 HARD: dict[str, Any] = {
     'training.start': 'fresh',
     'training.hidden': 6,
-    'training.learning_rate': 0.02,
+    'training.learning_rate': 0.05,
+    'training.period': 150,
+    'training.minibatch': 4,
     'horizon_s': 0.4,
     'motor.voltage_limits': [-33.0, 33.0],
 }
@@ -484,7 +486,7 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(
     load(other, tmp_path / 'c')
     one.group_of('motor').pairing.restart()
     for o in (one, other):
-        feed(o, lagging, 2210, 3000)
+        feed(o, lagging, 2210, 2900)
     on, again = (o.motors['motor'].state()[1] for o in (one, other))
     assert 'network/learning_residual_size' in on, 'there was something to learn'
     assert 'network/schedule_segments' in on, 'and older samples to learn it from'

@@ -16,14 +16,20 @@
 typedef double Real __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* all bits of a lane, or none */
 
+#ifdef QUICK_BUILD /* for tests: slow code, built in seconds */
+#define INLINE static inline
+#else
 #define INLINE static inline __attribute__((always_inline))
+#endif
 #ifndef UNROLL
 #define UNROLL _Pragma("GCC unroll 8")
 #endif
 
 /* Functions that are built for several kinds of processor, the best of which is chosen when the
  * library is loaded. */
-#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12
+#ifdef QUICK_BUILD /* clones pass vectors in other registers than what they do not take in */
+#define CLONES static
+#elif defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12
 #define CLONES \
     __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default"), noinline)) static
 #else
