@@ -72,7 +72,8 @@ class Case:
         """Parameters of the observer."""
         own = {'speed.topic': 'motor/speed'} if self.speed == 'own topic' else {}
         fixed = {'motors': list(self.names), 'predictor': self.predictor, 'horizon_s': 0.05}
-        return {**fixed, 'training.steps': 1, **own}
+        little = {'training.steps': 1, 'training.replay_capacity': 500}
+        return {**fixed, **little, **own}
 
     @property
     def is_taught(self) -> bool:

@@ -28,22 +28,29 @@ def samples() -> list[Sample]:
     plants = {f'm{k}': PlantParameters(resistance=1.0 + 0.1 * k) for k in range(MOTORS)}
     plants[f'm{STIFF}'] = PlantParameters(inductance=1e-3, resistance=1.6)
     excitation = dict.fromkeys(plants, 'R[5,15]D[0.2,3]') | {f'm{RESTING}': 'C[8]'}
-    schedule = (f'm{CHANGED}.resistance=1.6@15',)
-    r = Simulation(plants, excitation, seed=3, torque_noise_std=1e-4, schedule=schedule).record(
-        30.0
-    )
+    schedule = {f'm{CHANGED}': (f'm{CHANGED}.resistance=1.6@15',)}
+    # one by one: all motors of a simulation take the steps of the fastest
+    recordings = [
+        Simulation(
+            {name: plant}, excitation[name], seed=seed, torque_noise_std=1e-4,
+            schedule=schedule.get(name, ()),
+        ).record(30.0)
+        for seed, (name, plant) in enumerate(plants.items())
+    ]  # fmt: skip
+    stamps = recordings[0].stamp_ns
+    voltage_v = np.concatenate([recording.voltage_v for recording in recordings])
+    torque = np.concatenate([recording.torque_nm for recording in recordings])
     random = np.random.default_rng(1)
     made = []
-    torque = r.torque_nm.copy()
     torque[DISTURBED, random.choice(np.arange(300, 3000), 60, replace=False)] *= 1.5
-    present = np.ones((r.stamp_ns.size, MOTORS), dtype=bool)
+    present = np.ones((stamps.size, MOTORS), dtype=bool)
     present[:777, LATE] = present[2100:, GONE] = False
     present[random.choice(np.arange(100, 3000), 300, replace=False), PATCHY] = False
     last = np.full(MOTORS, -1)
-    for k, stamp in enumerate(r.stamp_ns.tolist()):
+    for k, stamp in enumerate(stamps.tolist()):
         before = np.maximum(last, 0)
         interval = np.where(last < 0, 0.0, (k - last) * 0.01)
-        held = [r.voltage_v[m, before[m] : max(k, before[m] + 1)].mean() for m in range(MOTORS)]
+        held = [voltage_v[m, before[m] : max(k, before[m] + 1)].mean() for m in range(MOTORS)]
         made.append(
             Sample(
                 stamp, interval, np.array(held), torque[:, k], np.full(MOTORS, np.nan), present[k]

@@ -51,7 +51,8 @@ def said(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def observer(**given: Any) -> Observer:
-    settings = {'motors': list(NAMES), 'group_from': 8, 'training.residual': False, **given}
+    settings = {'motors': list(NAMES), 'group_from': 8, 'training.residual': False}
+    settings |= {'training.period': 400, **given}
     settings |= {f'{name}.torque_constant': 0.01 for name in NAMES}
     return Observer(Configuration.from_flat(settings), InlineTraining)
 
