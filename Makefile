@@ -19,7 +19,7 @@ RATE ?= 1
 DEMO_ARGS ?=
 # make test
 ARGS ?=
-WORKERS ?= 4
+WORKERS ?= 5
 # make bench
 NAME ?=
 QUICK ?=

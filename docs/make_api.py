@@ -189,6 +189,9 @@ def fit_lines() -> list[str]:
         'The `ratio` and `whiteness` of an `untested` motor are `null`. So are `fit_percent` and '
         '`nmae` of a torque that does not vary, for both are relative to its spread.',
         '',
+        '`withheld` names the parameters that are not identified beside what is left, though the '
+        'white box explains the data.',
+        '',
     ]
 
 

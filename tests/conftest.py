@@ -11,7 +11,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -92,6 +94,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.live)
         if repeats and on_dds:
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=[WAITED_IN_VAIN]))
+    places = _module_places(items)
+    items.sort(key=lambda item: places[item.module])
+
+
+LIVE_SHARE = 0.85
+"""Share of a run within which modules that start nodes or processes have had their turn."""
+
+
+def _module_places(items: Sequence[pytest.Item]) -> dict[ModuleType, float]:
+    """Return every test module's place in a run, from 0 to 1.
+
+    Tests that start nodes or processes mostly wait, and others compute: they are spread over the
+    run, so that some always do both. At its end are none that take long, for which it would wait.
+    """
+    totals = Counter(_is_live(item) for item in items)
+    counts: Counter[bool] = Counter()
+    places: dict[ModuleType, float] = {}
+    for item in items:
+        is_live = _is_live(item)
+        share = LIVE_SHARE if is_live else 1.0
+        places.setdefault(item.module, share * counts[is_live] / totals[is_live])
+        counts[is_live] += 1
+    return places
+
+
+def _is_live(item: pytest.Item) -> bool:
+    return item.get_closest_marker('live') is not None
 
 
 def pytest_collection_finish() -> None:

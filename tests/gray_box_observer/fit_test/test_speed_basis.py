@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
@@ -52,5 +54,25 @@ def test_a_weaker_basis_bears_less(
     basis: SpeedBasis, verdict: FitVerdict, ratio: float, samples: int, count: int
 ) -> None:
     """Of few: the inductance first."""
-    open_names = basis.open_parameters(FitAssessment(verdict, ratio, 1.0, (), samples), NAMES)
-    assert open_names == set(NAMES[:count])
+    withheld = basis.withheld(FitAssessment(verdict, ratio, 1.0, (), samples), NAMES)
+    names = () if withheld is None else withheld.names
+    assert names == NAMES[:count]
+
+
+def test_what_is_withheld_is_said_with_its_remedy() -> None:
+    fit = FitAssessment(OK, 1.2, 1.0, (), 4096)
+    withheld = SpeedBasis.HIDDEN.withheld(fit, NAMES)
+    assert not fit.has_advice
+    told = replace(fit, withheld=withheld)
+    assert told.has_advice
+    assert told.to_dict()['withheld'] == ['inductance', 'resistance']
+    assert told.sentence == (
+        'The white box explains the data: the residual of the free run is 1.2 times the noise. '
+        'So much leaves open: inductance, resistance. The cause may be a filter of the current: '
+        'send it as it is measured, and the speed where there is one.'
+    )
+
+
+def test_of_a_misfit_nothing_is_believed_anyway() -> None:
+    fit = FitAssessment(FitVerdict.MISFIT, 9.0, 1.0, (), 4096)
+    assert SpeedBasis.HIDDEN.withheld(fit, NAMES) is None

@@ -56,6 +56,19 @@ class Suspect:
 
 
 @dataclass(frozen=True)
+class Withheld:
+    """Parameters that are not identified beside what a fit leaves, though it explains the data.
+
+    Attributes:
+        names: of the parameters.
+        cause: what may leave it, and the remedy.
+    """
+
+    names: tuple[str, ...]
+    cause: str
+
+
+@dataclass(frozen=True)
 class FitAssessment:
     """Residual analysis of the free run at the published values (Ljung 1999, chapter 16).
 
@@ -66,6 +79,7 @@ class FitAssessment:
         whiteness: Ljung-Box statistic over its degrees of freedom; about 1 for white noise.
         suspects: what is likely left out, or contradicts the data, the likeliest first.
         samples: how many it rests on.
+        withheld: what is not identified beside what is left; None: everything may be.
     """
 
     verdict: FitVerdict = FitVerdict.UNTESTED
@@ -73,6 +87,7 @@ class FitAssessment:
     whiteness: float = math.nan
     suspects: tuple[Suspect, ...] = ()
     samples: int = 0
+    withheld: Withheld | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the assessment as plain values for JSON; ``None`` for non-finite numbers."""
@@ -84,6 +99,7 @@ class FitAssessment:
                 {'effect': suspect.effect, 'evidence': suspect.evidence, 'remedy': suspect.remedy}
                 for suspect in self.suspects
             ],
+            'withheld': [] if self.withheld is None else [*self.withheld.names],
         }
 
     @classmethod
@@ -97,6 +113,12 @@ class FitAssessment:
         return cls(FitVerdict(plain['verdict']), ratio, whiteness, suspects, int(plain['samples']))
 
     @property
+    def has_advice(self) -> bool:
+        """Whether the sentence about it says something to be done."""
+        is_usual = self.verdict in (FitVerdict.UNTESTED, FitVerdict.OK)
+        return not is_usual or self.withheld is not None
+
+    @property
     def sentence(self) -> str:
         """Say in one sentence whether the white box explains the data, for people."""
         if self.verdict is FitVerdict.UNTESTED:
@@ -107,10 +129,11 @@ class FitAssessment:
         size = 'the residual of the free run is no number'
         if math.isfinite(self.ratio):
             size = f'the residual of the free run is {self.ratio:.3g} times the noise'
+        open_part = self._open_part
         if self.verdict is FitVerdict.OK:
-            return f'The white box explains the data: {size}.'
+            return f'The white box explains the data: {size}{open_part}.'
         if self.verdict is FitVerdict.WARNING:
-            return f'The white box explains the data nearly: {size}; {self._guess}.'
+            return f'The white box explains the data nearly: {size}; {self._guess}{open_part}.'
         first = self.suspects[0].effect if self.suspects else ''
         finding = f'The white box does not explain the data: {size}'
         if self.ratio <= MILD:
@@ -121,6 +144,15 @@ class FitAssessment:
                 else f'{finding}, but has a pattern'
             )
         return f'{finding}; {self._guess}. Believe none of the parameters.'
+
+    @property
+    def _open_part(self) -> str:
+        """Name what is not identified beside what is left; the cause where none is known."""
+        if self.withheld is None:
+            return ''
+        names = ', '.join(self.withheld.names)
+        cause = '' if self.suspects else f'. The cause may be {self.withheld.cause}'
+        return f'. So much leaves open: {names}{cause}'
 
     @property
     def _guess(self) -> str:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,7 @@ class FitMonitor:
             for motor, white_box in zip(motors, white_boxes, strict=True)
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
+        self._assessments = [_UNTESTED] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
         self._basis = SpeedBasis.from_form(white_boxes[0], len(motors))
         fewest = np.array([test.fewest for test in self._tests])
@@ -64,8 +66,7 @@ class FitMonitor:
 
     def assessment(self, motor: int) -> FitAssessment:
         """Return what is known of the fit of one motor."""
-        result = self._results[motor]
-        return _UNTESTED if result is None else result.assessment
+        return self._assessments[motor]
 
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -133,10 +134,13 @@ class FitMonitor:
         self._results[motor] = result
         parameters = self._tests[motor].white_box.parameters
         names = [parameter.name for parameter in parameters]
-        open_parameters: frozenset[str] = frozenset()
+        withheld = None
+        self._assessments[motor] = _UNTESTED
         if result is not None:
-            open_parameters = self._basis.open_parameters(result.assessment, names)
-        limit = EstimateLimit(parameters, result, open_parameters=open_parameters)
+            withheld = self._basis.withheld(result.assessment, names)
+            self._assessments[motor] = replace(result.assessment, withheld=withheld)
+        open_names = () if withheld is None else withheld.names
+        limit = EstimateLimit(parameters, result, open_parameters=open_names)
         if limit.is_open:
             self._limits.pop(motor, None)
         else:

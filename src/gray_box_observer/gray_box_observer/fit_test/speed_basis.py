@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from enum import Enum
 
-from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Withheld
 from gray_box_observer.white_box import MotorWhiteBox
 
 LARGEST_RATIO = 1.1
@@ -20,6 +20,13 @@ LARGEST_RATIO = 1.1
 SPREAD = 4.0
 """How far beyond 1 the ratio may come by chance, times the root of the samples: three of its
 standard deviations."""
+
+
+FILTERED = 'a filter of the current: send it as it is measured'
+NOISY_SPEED = (
+    'noise of the speed: observe the motors one by one (group_from), where it is fitted too'
+)
+"""What may leave so much, with its remedy."""
 
 
 class SpeedBasis(Enum):
@@ -44,20 +51,23 @@ class SpeedBasis(Enum):
             return cls.ASSUMED
         return cls.MEASURED if motors == 1 else cls.EXACT
 
-    def open_parameters(self, fit: FitAssessment, names: Sequence[str]) -> frozenset[str]:
-        """Return which parameters are not to be identified beside what a fit leaves.
+    def withheld(self, fit: FitAssessment, names: Sequence[str]) -> Withheld | None:
+        """Return which parameters are not to be identified beside what a fit leaves; None: none.
 
         Args:
             fit: what is known of it.
             names: of all parameters.
         """
+        if fit.verdict is FitVerdict.MISFIT:  # of which nothing is believed
+            return None
         if self is SpeedBasis.HIDDEN and leaves_much(fit):
-            return frozenset(names)
+            return Withheld(tuple(names), f'{FILTERED}, and the speed where there is one')
         if self is SpeedBasis.EXACT and fit.verdict is FitVerdict.WARNING:
-            return frozenset(names)
-        if self in (SpeedBasis.MEASURED, SpeedBasis.EXACT) and leaves_much(fit):
-            return frozenset({'inductance'})
-        return frozenset()
+            return Withheld(tuple(names), NOISY_SPEED)
+        has_speed = self in (SpeedBasis.MEASURED, SpeedBasis.EXACT)
+        if has_speed and 'inductance' in names and leaves_much(fit):
+            return Withheld(('inductance',), FILTERED)
+        return None
 
 
 def leaves_much(fit: FitAssessment) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.identify.offline_run import Outcome
 from gray_box_observer.observer.incident import in_words
@@ -38,11 +37,7 @@ def warnings_of(outcome: Outcome, *, with_fits: bool = True) -> list[str]:
     fits = {name: motor.fit for name, motor in observer.motors.items()} if with_fits else {}
     return [
         *outcome.warnings,
-        *(
-            f'motor {name}: {fit.sentence}'
-            for name, fit in fits.items()
-            if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
-        ),
+        *(f'motor {name}: {fit.sentence}' for name, fit in fits.items() if fit.has_advice),
         *(one.sentence for one in mix_ups if one is not None),
         *_stops(outcome.observer),
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),

@@ -295,6 +295,6 @@ class _Teller:
         advice = verdict_advice(view.estimate)
         if advice is not None and fit.verdict is not FitVerdict.MISFIT:
             return 'warn', advice
-        if fit.verdict in (FitVerdict.MISFIT, FitVerdict.WARNING):
+        if fit.has_advice:
             return 'warn', fit.sentence
         return 'ok', 'every parameter identified' if view.identified else 'converging'

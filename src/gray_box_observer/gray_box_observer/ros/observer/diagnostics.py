@@ -309,7 +309,7 @@ def _verdicts(motor: str, now: Situation, assumption_names: Collection[str]) -> 
     if advice is not None:
         return advice
     fit = now.observer.fit(motor)
-    if fit.verdict is FitVerdict.WARNING:
+    if fit.verdict is not FitVerdict.MISFIT and fit.has_advice:
         return DiagnosticStatus.WARN, fit.sentence
     quantity = now.observer.configuration['torque.quantity']
     doubt = contradiction(now.observer.motors[motor].configuration, estimate, quantity)
