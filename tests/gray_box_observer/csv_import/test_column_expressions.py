@@ -35,6 +35,14 @@ def test_an_expression_means_what_it_means_in_python(text):
     np.testing.assert_array_equal(expression(TABLE), np.broadcast_to(expected, (2,)))
 
 
+def test_what_a_moving_average_was_made_of_is_known_from_the_second_row_on():
+    smooth = {1: np.array([1.0, 1.5, 3.0, 3.0])}
+    expression = Expression('unsmoothed(a, 0.5)', ('a',), 1)
+    np.testing.assert_array_equal(expression(smooth), [np.nan, 2.0, 4.5, 3.0])
+    assert not expression.needs_time
+    assert expression.positions(smooth) == []
+
+
 def test_only_the_columns_that_are_used_are_asked_for():
     assert Expression('a*$3', NAMES, 3).columns == {1, 3}
 

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 from gray_box_observer.errors import ExpressionError
-from gray_box_observer.expressions.formula import Formula, Value
+from gray_box_observer.expressions.formula import Formula, Past, Value
 
 
-def no_rate(_number: int, _value: Value) -> Value:
-    raise AssertionError('no rate of change was asked for')
+def not_asked(_number: int, _value: Value) -> Value:
+    raise AssertionError('nothing was asked of the past')
+
+
+NO_PAST = Past(not_asked, not_asked)
 
 
 def value(text: str, **given: float) -> float:
-    return float(Formula(text)(given, no_rate))
+    return float(Formula(text)(given, NO_PAST))
 
 
 @pytest.mark.parametrize(
@@ -46,9 +49,29 @@ def test_every_rate_of_change_has_a_number_of_its_own() -> None:
         asked.append((number, at))
         return float(at) * 10.0
 
-    assert formula({'a': 1.0, 'b': 3.0}, rate) == 10.0 + 2 * 30.0
+    assert formula({'a': 1.0, 'b': 3.0}, Past(rate, not_asked)) == 10.0 + 2 * 30.0
     assert asked == [(0, 1.0), (1, 3.0)]
     assert formula.rate_count == 2
+
+
+def test_what_a_moving_average_was_made_of_follows_from_the_value_before() -> None:
+    formula = Formula('2 * unsmoothed(a, 0.25) + diff(a)')
+    asked: list[int] = []
+
+    def before(number: int, at: Value) -> Value:
+        asked.append(number)
+        return float(at) - 1.0
+
+    past = Past(lambda number, _: 100.0 * number, before)
+    assert formula({'a': 3.0}, past) == 2 * (3.0 - 0.75 * 2.0) / 0.25 + 100.0
+    assert asked == [0]
+    assert formula.rate_count == 1
+
+
+@pytest.mark.parametrize('weight', ['0', '1.1', '2', 'a', '-0.5', 'True'])
+def test_a_weight_that_is_none_is_refused(weight: str) -> None:
+    with pytest.raises(ExpressionError):
+        Formula(f'unsmoothed(a, {weight})')
 
 
 def test_a_division_by_zero_is_no_error() -> None:
@@ -56,7 +79,7 @@ def test_a_division_by_zero_is_no_error() -> None:
 
 
 def test_arrays_and_numbers_mix() -> None:
-    result = Formula('duty * battery')({'duty': np.array([0.5, -1.0]), 'battery': 12.0}, no_rate)
+    result = Formula('duty * battery')({'duty': np.array([0.5, -1.0]), 'battery': 12.0}, NO_PAST)
     np.testing.assert_array_equal(result, [6.0, -12.0])
 
 
@@ -85,6 +108,9 @@ def test_the_unit_of_a_single_quantity_tells_what_it_is(text: str, kind: str) ->
         'a\n+b',
         'lambda: a',
         'diff',
+        'unsmoothed',
+        'unsmoothed(a)',
+        'unsmoothed(a, 0.5, 0.5)',
     ],
 )
 def test_anything_else_is_refused_in_one_line(text: str) -> None:

@@ -69,7 +69,8 @@ def test_what_is_withheld_is_said_with_its_remedy() -> None:
     assert told.sentence == (
         'The white box explains the data: the residual of the free run is 1.2 times the noise. '
         'So much leaves open: inductance, resistance. The cause may be a filter of the current: '
-        'send it as it is measured, and the speed where there is one.'
+        'send it as it is measured, or undo a moving average by torque.expression: '
+        'unsmoothed(raw, WEIGHT); send the speed too, where there is one.'
     )
 
 

@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gray_box_observer.observer.input_alignment import InputAlignment
@@ -170,6 +171,21 @@ def test_speed_is_the_mean_rate_of_a_position() -> None:
         taker.ingest('speed', SimpleNamespace(data=angle), stamp_ms * MS, 'encoder')
     told = [(stamp, values['motor']) for _, stamp, values in observer.told]
     assert told == [(1010, 10.0), (1030, -15.0), (3010, 25.0)]
+
+
+def test_a_moving_average_is_undone_but_where_a_value_of_it_was_lost() -> None:
+    taker, observer = listening(
+        {'torque.expression': 'unsmoothed(raw, 0.25)', 'raw.topic': 'states', 'raw.field': 'effort'}
+    )
+    currents = np.random.default_rng(1).normal(size=12)
+    smooth = 0.0
+    for k, current in enumerate(currents.tolist()):
+        smooth = 0.25 * current + 0.75 * smooth
+        if k != 6:
+            taker.ingest('torque', duty(1000 + 10 * k, smooth), 0, 'states')
+    told = {stamp: values['motor'] for _, stamp, values in observer.told}
+    expected = {1000 + 10 * k: currents[k] for k in range(1, 12) if k not in (6, 7)}
+    assert told == pytest.approx(expected)
 
 
 @pytest.mark.parametrize('quantity', ['torque', 'current'])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import BagError, ExpressionError, brief
-from gray_box_observer.expressions.formula import Formula, Name, Value
+from gray_box_observer.expressions.formula import Formula, Name, Past, Value
 
 Table = Mapping[int, NDArray[np.float64]]
 """Columns by their 1-based number.  shape of each: (row,)"""
@@ -75,13 +75,16 @@ class Expression:
         rows = next(iter(table.values())).shape if table else ()
         values: dict[Name, Value] = {name: table[number] for name, number in self._places.items()}
 
-        def differentiate(_number: int, value: Value) -> Value:
+        def rate(_number: int, value: Value) -> Value:
             return _rate(np.broadcast_to(np.asarray(value, dtype=np.float64), rows), time_s)
+
+        def before(_number: int, value: Value) -> Value:
+            return _before(np.broadcast_to(np.asarray(value, dtype=np.float64), rows))
 
         if self._formula is None:
             result = next(iter(values.values()))
         else:
-            result = self._formula(values, differentiate)
+            result = self._formula(values, Past(rate, before))
         return np.broadcast_to(np.asarray(result, dtype=np.float64), rows)
 
     def positions(self, table: Table) -> list[NDArray[np.float64]]:
@@ -93,7 +96,10 @@ class Expression:
             return np.zeros_like(positions[-1])
 
         if self._formula is not None:
-            self._formula({name: table[number] for name, number in self._places.items()}, keep)
+            values: dict[Name, Value] = {
+                name: table[number] for name, number in self._places.items()
+            }
+            self._formula(values, Past(keep, lambda _number, value: value))
         return positions
 
     def _number_of(self, name: Name) -> int:
@@ -133,3 +139,8 @@ def _rate(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> ND
         raise BagError('diff needs a time, which time itself and where do not have')
     passed_s = np.diff(time_s, prepend=np.nan)
     return np.where(passed_s > 0.0, np.diff(values, prepend=np.nan) / passed_s, np.nan)
+
+
+def _before(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Value of the row before; NaN in the first, shape (row,)."""
+    return np.concatenate([[np.nan], values[:-1]])[: values.size]

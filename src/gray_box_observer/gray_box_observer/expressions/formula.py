@@ -1,8 +1,8 @@
 """Expressions such as ``duty/32767*(va-vb)*2.466e-3``: a whitelist, never evaluated as Python.
 
 Allowed are numbers, names, names in quotes, ``$N`` (a column), ``+ - * /``, parentheses, ``abs``,
-``sign``, ``diff``, a unit in brackets behind a quantity (``current[mA]``), and in a condition
-``== != < <= > >= and or not``.
+``sign``, ``diff``, ``unsmoothed``, a unit in brackets behind a quantity (``current[mA]``), and in a
+condition ``== != < <= > >= and or not``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +26,23 @@ Value = NDArray[np.float64] | float
 Name = str | int
 """Of a quantity: a name, or the number of a column."""
 
-Differentiate = Callable[[int, Value], Value]
-"""Takes the number of a ``diff`` in its formula and the value there; returns the rate of change."""
+AskPast = Callable[[int, Value], Value]
+"""Takes the number of a function in its formula and the value there; looks at the one before."""
 
-FUNCTIONS = ('abs', 'sign', 'diff')
+
+class Past(NamedTuple):
+    """What the functions of an expression know of earlier values.
+
+    Attributes:
+        rate: Returns the rate of change since the value before, for ``diff``.
+        before: Returns the value before, for ``unsmoothed``.
+    """
+
+    rate: AskPast
+    before: AskPast
+
+
+FUNCTIONS = ('abs', 'sign', 'diff', 'unsmoothed')
 
 LONGEST = 1000
 """Signs of a text."""
@@ -36,7 +50,7 @@ LONGEST = 1000
 DEEPEST = 100
 """Operations within each other; Python itself gives up at some hundreds."""
 
-_Node = Callable[[Mapping[Name, Value], Differentiate], Value]
+_Node = Callable[[Mapping[Name, Value], Past], Value]
 
 _QUOTED = re.compile(r"'([^']*)'|\"([^\"]*)\"")
 _IN_BRACKETS = re.compile(r'\[([^\[\]]*)\]')
@@ -88,6 +102,7 @@ class Formula:
     def __init__(self, text: str, *, is_condition: bool = False) -> None:
         self.text = text
         self.rate_count = 0
+        self._past_count = 0
         self.kind = ''
         self._names: dict[Name, None] = {}
         self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
@@ -104,15 +119,15 @@ class Formula:
         """Whether no quantity stands in it."""
         return not self.names
 
-    def __call__(self, values: Mapping[Name, Value], differentiate: Differentiate) -> Value:
+    def __call__(self, values: Mapping[Name, Value], past: Past) -> Value:
         """Return the value of the expression; division by zero gives infinity or NaN.
 
         Args:
             values: Of every quantity, by its name.
-            differentiate: Rate of change of a value.
+            past: What is known of earlier values.
         """
         with np.errstate(all='ignore'):
-            return self._node(values, differentiate)
+            return self._node(values, past)
 
     def _parse(self, text: str) -> ast.expr:
         if len(text) > LONGEST:
@@ -150,19 +165,25 @@ class Formula:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 constant = self._number(number)
-                return lambda values, rate: constant
+                return lambda values, past: constant
             case ast.Name(id=name) if name not in FUNCTIONS:
                 return self._quantity(name)
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]):
                 return self._call(name, argument, inner)
+            case ast.Call(
+                func=ast.Name(id='unsmoothed'),
+                args=[argument, ast.Constant(value=int() | float() as weight)],
+                keywords=[],
+            ) if not isinstance(weight, bool):
+                return self._unsmoothed(self._compile(argument, inner), self._number(weight))
             case ast.Subscript(value=held):
                 factor = self._unit(node)[1]
                 quantity = self._compile(held, inner)
-                return lambda values, rate: quantity(values, rate) * factor
+                return lambda values, past: quantity(values, past) * factor
             case ast.UnaryOp(op=op, operand=operand):
                 apply = self._operator(op)
                 value = self._compile(operand, inner)
-                return lambda values, rate: apply(value(values, rate))
+                return lambda values, past: apply(value(values, past))
             case ast.BinOp(left=left, op=op, right=right):
                 return self._binary(op, self._compile(left, inner), self._compile(right, inner))
             case ast.Compare(left=left, ops=[op], comparators=[right]):
@@ -180,20 +201,39 @@ class Formula:
                 return self._quantity(number)
             case ast.Constant(value=int() as number) if name == _TEXT:
                 return self._quantity(self._texts[number])
-        if name not in FUNCTIONS:
+        if name not in FUNCTIONS or name == 'unsmoothed':
             raise self._not_allowed()
         value = self._compile(argument, depth)
         if name == 'abs':
-            return lambda values, rate: np.abs(value(values, rate))
+            return lambda values, past: np.abs(value(values, past))
         if name == 'sign':
-            return lambda values, rate: np.sign(value(values, rate))
-        number = self.rate_count
+            return lambda values, past: np.sign(value(values, past))
+        number = self._next_number()
         self.rate_count += 1
-        return lambda values, rate: rate(number, value(values, rate))
+        return lambda values, past: past.rate(number, value(values, past))
+
+    def _unsmoothed(self, smooth: _Node, weight: float) -> _Node:
+        """Return what a moving average ``weight * newest + (1 - weight) * before`` was made of."""
+        if not 0.0 < weight <= 1.0:
+            raise ExpressionError(
+                f'unsmoothed in {brief(self.text)} needs the weight of the newest value, above 0 '
+                f'and at most 1; got {weight:g}'
+            )
+        number = self._next_number()
+
+        def newest(values: Mapping[Name, Value], past: Past) -> Value:
+            value = smooth(values, past)
+            return (value - (1.0 - weight) * past.before(number, value)) / weight
+
+        return newest
+
+    def _next_number(self) -> int:
+        self._past_count += 1
+        return self._past_count - 1
 
     def _quantity(self, name: Name) -> _Node:
         self._names[name] = None
-        return lambda values, rate: values[name]
+        return lambda values, past: values[name]
 
     def _unit(self, node: ast.Subscript) -> tuple[str, float]:
         """Return what the unit in brackets measures, and its factor to SI units."""
@@ -212,7 +252,7 @@ class Formula:
 
     def _binary(self, op: ast.AST, left: _Node, right: _Node) -> _Node:
         apply = self._operator(op)
-        return lambda values, rate: apply(left(values, rate), right(values, rate))
+        return lambda values, past: apply(left(values, past), right(values, past))
 
     def _operator(self, op: ast.AST) -> Callable[..., Value]:
         apply = self._operators.get(type(op))

@@ -279,8 +279,9 @@ def load_remedy(*nodes: str) -> str:
 
 
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
-    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
-    'noise has a memory',
+    COLOURED_NOISE: 'take the filter off the torque signal, undo a moving average by '
+    "torque.expression: unsmoothed(raw, WEIGHT), or sample more slowly: the sensor's noise has a "
+    'memory',
     LOAD: load_remedy(),
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""

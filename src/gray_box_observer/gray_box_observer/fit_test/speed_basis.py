@@ -22,7 +22,10 @@ SPREAD = 4.0
 standard deviations."""
 
 
-FILTERED = 'a filter of the current: send it as it is measured'
+FILTERED = (
+    'a filter of the current: send it as it is measured, or undo a moving average by '
+    'torque.expression: unsmoothed(raw, WEIGHT)'
+)
 NOISY_SPEED = (
     'noise of the speed: observe the motors one by one (group_from), where it is fitted too'
 )
@@ -61,7 +64,7 @@ class SpeedBasis(Enum):
         if fit.verdict is FitVerdict.MISFIT:  # of which nothing is believed
             return None
         if self is SpeedBasis.HIDDEN and leaves_much(fit):
-            return Withheld(tuple(names), f'{FILTERED}, and the speed where there is one')
+            return Withheld(tuple(names), f'{FILTERED}; send the speed too, where there is one')
         if self is SpeedBasis.EXACT and fit.verdict is FitVerdict.WARNING:
             return Withheld(tuple(names), NOISY_SPEED)
         has_speed = self in (SpeedBasis.MEASURED, SpeedBasis.EXACT)

@@ -10,13 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gray_box_observer.errors import SampleError
-from gray_box_observer.expressions.formula import Formula, Name, Value
+from gray_box_observer.expressions.formula import Formula, Name, Past, Value
 from gray_box_observer.observer.input_alignment import Aligned, InputAlignment, stale_limits
 from gray_box_observer.observer.signal_reading import Reading, Signal
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
 from gray_box_observer.settings.signal_sources import inputs_of
+
+LOST = 1.5
+"""Times the interval before it, from which one has lost a value: a moving average knows that one,
+and nobody else does."""
 
 OF_EVERY_MOTOR = ('',)
 """Stands for the names of an input that is one number."""
@@ -45,6 +49,22 @@ class Stamped(NamedTuple):
     complaint: str = ''
 
 
+class _Before(NamedTuple):
+    """A value that an expression may ask for with the next one.
+
+    Attributes:
+        stamp_ns: of it.
+        names: motors that it is of.
+        value: of each.
+        passed_ns: since the value before it; 0: there was none.
+    """
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    value: Value
+    passed_ns: int
+
+
 class CombinedSignal:
     """One measured quantity that is an expression of inputs.
 
@@ -71,7 +91,7 @@ class CombinedSignal:
             stale_limits(ages_s), round(configuration['jump_back_s'] * 1e9)
         )
         self._gap_ns = round(configuration['gap_s'] * 1e9)
-        self._before: dict[int, tuple[int, tuple[str, ...], Value]] = {}
+        self._before: dict[int, _Before] = {}
 
     @property
     def topic(self) -> str:
@@ -118,11 +138,11 @@ class CombinedSignal:
         values: dict[Name, Value] = {own: _by_name(one, names) for own, one in readings.items()}
         constants = self._constants(names)
         values[TORQUE_CONSTANT] = constants
-        result = self._formula(values, self._differentiator(stamp_ns, names, is_new))
+        result = self._formula(values, self._past(stamp_ns, names, is_new))
         result = self._scale * result + self._offset
         if self._is_current:
             result = result * constants
-        if is_new[0]:  # a rate of change needs two values
+        if is_new[0]:  # what looks at the value before needs two
             return Stamped(stamp_ns, None)
         result = np.broadcast_to(np.asarray(result, dtype=float), len(names))
         single = (float(result[0]),) if len(names) == 1 else result
@@ -158,20 +178,43 @@ class CombinedSignal:
         """Return Kt of every motor; NaN of one that is not ours."""
         return np.array([self._torque_constants.get(name, math.nan) for name in names])
 
-    def _differentiator(self, stamp_ns: int, names: tuple[str, ...], is_new: list[bool]) -> Any:
-        """Return the mean rate of change since the value before; a first value sets ``is_new``."""
+    def _past(self, stamp_ns: int, names: tuple[str, ...], is_new: list[bool]) -> Past:
+        """Return what is known of the values before; where there is none ``is_new`` is set."""
 
-        def differentiate(number: int, value: Value) -> Value:
-            before = self._before.get(number)
-            if before is not None and before[0] == stamp_ns and before[1] == names:
-                return value * math.nan  # the same stamp again: pairing refuses it
-            self._before[number] = (stamp_ns, names, value)
-            if before is None or before[1] != names or not 0 < stamp_ns - before[0] <= self._gap_ns:
+        def rate(number: int, value: Value) -> Value:
+            if self._is_repeated(number, stamp_ns, names):
+                return value * math.nan  # pairing refuses it
+            before = self._step(number, stamp_ns, names, value)
+            if before is None:
                 is_new[0] = True
                 return value * 0.0
-            return (value - before[2]) / ((stamp_ns - before[0]) * 1e-9)
+            return (value - before.value) / ((stamp_ns - before.stamp_ns) * 1e-9)
 
-        return differentiate
+        def value_before(number: int, value: Value) -> Value:
+            if self._is_repeated(number, stamp_ns, names):
+                return value * math.nan
+            before = self._step(number, stamp_ns, names, value)
+            if before is None or 0 < LOST * before.passed_ns < stamp_ns - before.stamp_ns:
+                is_new[0] = True
+                return value * 0.0
+            return before.value
+
+        return Past(rate, value_before)
+
+    def _is_repeated(self, number: int, stamp_ns: int, names: tuple[str, ...]) -> bool:
+        """Whether the same stamp has come again."""
+        before = self._before.get(number)
+        return before is not None and before.stamp_ns == stamp_ns and before.names == names
+
+    def _step(
+        self, number: int, stamp_ns: int, names: tuple[str, ...], value: Value
+    ) -> _Before | None:
+        """Remember a value; return the one before, where it is of the same history."""
+        before = self._before.get(number)
+        passed_ns = 0 if before is None else stamp_ns - before.stamp_ns
+        has_before = before is not None and before.names == names and 0 < passed_ns <= self._gap_ns
+        self._before[number] = _Before(stamp_ns, names, value, passed_ns if has_before else 0)
+        return before if has_before else None
 
 
 def _by_name(reading: Reading, names: tuple[str, ...]) -> Value:
