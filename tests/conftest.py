@@ -21,6 +21,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from tests.ended_starts import EndHere, caller
 
 TIMEOUT_S = 120.0
 WAITED_IN_VAIN = r'waited [0-9.]+ s for '
@@ -255,3 +256,9 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Peer]:
     made = Peer()
     yield made
     made.close()
+
+
+@pytest.fixture
+def end_here(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> EndHere:
+    """Call a command that must end at its start, in the process of the test."""
+    return caller(monkeypatch, capfd, free_domain())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 
 from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.identify.command import main
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
 pytestmark = pytest.mark.system
@@ -68,7 +70,22 @@ class Controller:
         assert self.counts()['rejected'] == 'none'
 
 
-def identify(*arguments: object) -> dict[str, Any]:
+@pytest.fixture
+def identify(capsys: pytest.CaptureFixture[str]) -> Callable[[Path], dict[str, Any]]:
+    """Run the command in the process of the test, without predictor; return its JSON."""
+
+    def run(bag: Path) -> dict[str, Any]:
+        capsys.readouterr()
+        code = main(['identify', str(bag), '--skip-predictor', '--json', '-'])
+        said = capsys.readouterr()
+        assert 'Traceback' not in said.err
+        assert code == 0, said.err
+        return json.loads(said.out)
+
+    return run
+
+
+def identify_process(*arguments: object) -> dict[str, Any]:
     """Run identify without predictor; return its JSON."""
     command = [
         sys.executable,
@@ -89,7 +106,7 @@ def values_of(result: dict[str, Any]) -> Estimates:
     return {name: found['value'] for name, found in result['motors']['motor']['parameters'].items()}
 
 
-def test_one_run_gives_the_same_estimates_live_replayed_and_offline(peer, tmp_path):
+def test_one_run_gives_the_same_estimates_live_replayed_and_offline(peer, tmp_path, identify):
     live = Controller(peer)
     observer = peer.start(OBSERVER, predictor='false')
     recorder = peer.start(RECORDER, '-o', str(tmp_path / 'bag'))
@@ -129,13 +146,13 @@ def test_one_run_gives_the_same_estimates_live_replayed_and_offline(peer, tmp_pa
     assert again.estimates() == pytest.approx(found, rel=SAME)
     assert peer.end(observer)[0] == 0
 
-    offline = identify(tmp_path / 'bag')
+    offline = identify_process(tmp_path / 'bag')
     assert values_of(offline) == pytest.approx(found, rel=SAME)
     assert identify(tmp_path / 'bag')['digest'] == offline['digest']
 
 
 @pytest.mark.parametrize('name', ['training_set', 'moderate', 'drift'])
-def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name):
+def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name, identify):
     truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text())['motors']['motor']
     last = {key: value[-1][1] if isinstance(value, list) else value for key, value in truth.items()}
     result = identify(BAGS / name)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.ended_starts import EndHere
 
 pytestmark = pytest.mark.system
 
@@ -43,15 +45,33 @@ def refused(tmp_path: Path) -> Refused:
             timeout=TIMEOUT_S,
             stdin=subprocess.DEVNULL,
         )
-        said = done.stderr.decode('utf-8')
-        assert done.returncode == 2, said
-        errors = [line for line in said.splitlines() if line.startswith(f'{name}: error: ')]
-        assert len(errors) == 1, said
-        assert 'Traceback' not in said
-        assert '[ERROR]' not in said, 'said a second time'
-        return errors[0].removeprefix(f'{name}: error: ')
+        return one_line(name, done.returncode, done.stderr.decode('utf-8'))
 
     return run
+
+
+@pytest.fixture
+def refused_here(end_here: EndHere, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Refused:
+    """Call an executable in the process of the test, whose memory is left as it is."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('gray_box_observer.executables.settle_memory', lambda: None)
+
+    def run(name: str, *arguments: str) -> str:
+        executable = getattr(importlib.import_module(f'{EXECUTABLES[name]}.executables'), name)
+        code, _, said = end_here(executable, *arguments)
+        return one_line(name, code, said)
+
+    return run
+
+
+def one_line(name: str, code: int, said: str) -> str:
+    """Return the line with which an executable has refused its input."""
+    assert code == 2, said
+    errors = [line for line in said.splitlines() if line.startswith(f'{name}: error: ')]
+    assert len(errors) == 1, said
+    assert 'Traceback' not in said
+    assert '[ERROR]' not in said, 'said a second time'
+    return errors[0].removeprefix(f'{name}: error: ')
 
 
 def with_file(name: str, path: Path) -> list[str]:
@@ -81,21 +101,21 @@ def test_an_argument_that_is_no_utf_8_is_refused_by_its_bytes(refused: Refused, 
 
 @pytest.mark.parametrize('name', [name for name in EXECUTABLES if name != 'identify'])
 def test_an_argument_that_ros_does_not_know_is_refused_in_its_words(
-    refused: Refused, name: str
+    refused_here: Refused, name: str
 ) -> None:
     words = ('--ros-args', '--nosuchflag')
-    assert refused(name, *words) == "unknown ROS arguments: ['--nosuchflag']"
+    assert refused_here(name, *words) == "unknown ROS arguments: ['--nosuchflag']"
 
 
 @pytest.mark.parametrize('name', [name for name in EXECUTABLES if name != 'identify'])
-def test_an_option_for_a_parameter_without_one_is_refused(refused: Refused, name: str) -> None:
+def test_an_option_for_a_parameter_without_one_is_refused(refused_here: Refused, name: str) -> None:
     message = (
         '-p: this node has no parameters; --help lists its options'
         if name in ('watch', 'dashboard')
         else "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter "
         'override rule found.'
     )
-    assert refused(name, '--ros-args', '-p') == message
+    assert refused_here(name, '--ros-args', '-p') == message
 
 
 @pytest.mark.parametrize(
@@ -127,11 +147,11 @@ def test_an_option_for_a_parameter_without_one_is_refused(refused: Refused, name
     ],
 )
 def test_a_parameter_file_that_cannot_be_meant_is_refused_by_line_or_name(
-    refused: Refused, tmp_path: Path, name: str, text: str, message: str
+    refused_here: Refused, tmp_path: Path, name: str, text: str, message: str
 ) -> None:
     path = tmp_path / 'p.yaml'
     path.write_text(text)
-    assert message in refused(name, *with_file(name, path))
+    assert message in refused_here(name, *with_file(name, path))
 
 
 @pytest.mark.parametrize('place', ['/dev/zero', 'pipe'])

@@ -12,6 +12,7 @@ import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from sensor_msgs.msg import JointState
+from tests.ended_starts import parameter_words
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.quantity import quantity_of
@@ -280,12 +281,7 @@ def test_a_node_waits_for_its_subscribers_only_so_long(peer):
     ('values', 'what'),
     [
         ({'excitation': 'R[5;15]D[1,20]'}, 'column 4'),
-        ({'motor__resistance': -1.0}, 'motor.resistance must be from 1e-06 to 1e+06 ohm; got -1'),
-        ({'sample_rate_hz': 5000.0}, 'sample_rate_hz must be from 1 to 1000 Hz'),
         ({'sample_rate_hz': 'fast'}, 'sample_rate_hz must be a number'),
-        ({'motors': 'motor'}, 'motors must be a list'),
-        ({'speed_mode': 'gear'}, 'speed_mode must be one of thesis, rotor'),
-        ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
         (
             {'qos_overrides./motor/voltage.publisher.depth': 'deep'},
             'quality of service of motor/voltage',
@@ -293,7 +289,26 @@ def test_a_node_waits_for_its_subscribers_only_so_long(peer):
     ],
 )
 def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, values, what):
-    code, out, err = peer.end(peer.start(MODULE, **values), None)
+    check_one_line(peer.end(peer.start(MODULE, **values), None), what)
+
+
+@pytest.mark.parametrize(
+    ('values', 'what'),
+    [
+        ({'motor__resistance': -1.0}, 'motor.resistance must be from 1e-06 to 1e+06 ohm; got -1'),
+        ({'sample_rate_hz': 5000.0}, 'sample_rate_hz must be from 1 to 1000 Hz'),
+        ({'motors': 'motor'}, 'motors must be a list'),
+        ({'speed_mode': 'gear'}, 'speed_mode must be one of thesis, rotor'),
+        ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
+    ],
+)
+def test_so_does_any_other_in_the_process_of_the_test(end_here, values, what):
+    check_one_line(end_here(MODULE, *parameter_words(**values)), what)
+
+
+def check_one_line(ended, what):
+    """Check that a start has ended with status 2 and one line that says why."""
+    code, out, err = ended
     assert code == 2
     # the middleware speaks there where a process that was killed has left its shared memory locked
     assert all('RTPS_TRANSPORT_SHM' in line for line in out.splitlines())
@@ -329,8 +344,8 @@ def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):
         ({'frobnicate': 1}, 'no parameter of motor_sim: frobnicate; --help lists them'),
     ],
 )
-def test_a_misspelt_parameter_is_refused_with_the_nearest_name(peer, values, what):
-    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, **values), None)
+def test_a_misspelt_parameter_is_refused_with_the_nearest_name(end_here, values, what):
+    code, _, err = end_here(MODULE, *parameter_words(duration_s=0.1, **values))
     (line,) = [line for line in err.splitlines() if 'error:' in line]
     assert code == 2
     assert what in line
@@ -361,9 +376,8 @@ def test_a_section_that_names_the_simulator_holds_nothing_but_its_parameters(pee
     assert 'no parameter of motor_sim, ignored: gap_s; ' in said
 
 
-def test_what_an_error_quotes_is_shown_and_not_obeyed(peer):
-    words = ('--ros-args', '--params-file', '/no\x1b[31mred')
-    code, _, err = peer.end(peer.start(MODULE, *words), None)
+def test_what_an_error_quotes_is_shown_and_not_obeyed(end_here):
+    code, _, err = end_here(MODULE, '--ros-args', '--params-file', '/no\x1b[31mred')
     (line,) = [line for line in err.splitlines() if 'error:' in line]
     assert code == 2
     assert line.isprintable()
@@ -377,17 +391,17 @@ def test_what_an_error_quotes_is_shown_and_not_obeyed(peer):
         ('[' * 5000 + ']' * 5000, 'more than 32 levels'),
     ],
 )
-def test_a_file_with_a_key_twice_or_too_deep_is_one_line(peer, tmp_path, text, complaint):
+def test_a_file_with_a_key_twice_or_too_deep_is_one_line(end_here, tmp_path, text, complaint):
     path = tmp_path / 'bad.yaml'
     path.write_text(f'/**:\n  ros__parameters: {text}\n')
-    code, _, err = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)
+    code, _, err = end_here(MODULE, '--ros-args', '--params-file', str(path))
     assert code == 2
     assert err.startswith(f'motor_sim: error: parameter file {path}: line 2: {complaint}')
     assert err.count('\n') == 1
 
 
-def test_help_names_the_parameters_and_starts_nothing(peer):
-    code, out, err = peer.end(peer.start(MODULE, '--help'), None)
+def test_help_names_the_parameters_and_starts_nothing(end_here):
+    code, out, err = end_here(MODULE, '--help')
     assert code == 0
     assert 'torque_noise_relative' in out
     assert err == ''

@@ -123,7 +123,11 @@ def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Pa
     for k, stamp in enumerate(record.stamp_ns.tolist()):
         one.voltage('motor', stamp, float(record.voltage_v[0, k]))
         one.torque('motor', stamp, float(record.torque_nm[0, k]))
-        if k > 256 and k % 16 == 0 and STAGES[stage](one.motors['motor'].observer.form_choice.state(0)[0]):
+        if (
+            k > 256
+            and k % 16 == 0
+            and STAGES[stage](one.motors['motor'].observer.form_choice.state(0)[0])
+        ):
             break
     else:
         raise AssertionError(f'never: {stage}')

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import rclpy
 from sensor_msgs.msg import JointState
+from tests.ended_starts import EndHere
 
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
@@ -56,22 +57,39 @@ def interrupted_twice(peer, process) -> tuple[int, str]:
 
 def check_refusal(peer, folder: Path, module: str, arguments: Sequence[str], message: str) -> None:
     """Check that a process beside bags of all kinds ends with code 2 and one line that says why."""
+    process = peer.start(module, *_beside_bags(folder, arguments))
+    code, _, said = peer.end(process, None)
+    _check_refused(code, said, message)
+
+
+def check_refusal_here(
+    start: EndHere, folder: Path, module: str, arguments: Sequence[str], message: str
+) -> None:
+    """Check the same of the command of a module, called in the process of the test."""
+    code, _, said = start(module, *_beside_bags(folder, arguments))
+    _check_refused(code, said, message)
+
+
+def _check_refused(code: int, said: str, message: str) -> None:
+    assert code == 2
+    lines = [line for line in said.splitlines() if 'error:' in line]
+    assert len(lines) == 1 and message in lines[0]
+
+
+def _beside_bags(folder: Path, arguments: Sequence[str]) -> list[str]:
+    """Make bags of all kinds and return the arguments with the name of their folder."""
     make_bag(folder / 'bag', [0.0, 1.0])
     make_bag(folder / 'late', [0.0], log_s=2**32)
     make_bag(folder / 'own', [0.0], topic='/gray_box_observer/predicted_torque')
     (folder / 'text.mcap').write_text('no bag')
     spoilt = make_bag(folder / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
     spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))
-    process = peer.start(module, *(argument.format(tmp=folder) for argument in arguments))
-    code, _, said = peer.end(process, None)
-    assert code == 2
-    lines = [line for line in said.splitlines() if 'error:' in line]
-    assert len(lines) == 1 and message in lines[0]
+    return [argument.format(tmp=folder) for argument in arguments]
 
 
-def check_help(peer, module: str, specs: Iterable[ParameterSpec]) -> None:
-    """Check that the help of a process names every parameter."""
-    code, out, _ = peer.end(peer.start(module, '--help'), None)
+def check_help(start: EndHere, module: str, specs: Iterable[ParameterSpec]) -> None:
+    """Check that the help of a command names every parameter."""
+    code, out, _ = start(module, '--help')
     assert code == 0
     assert all(f'\n  {spec.name} ' in out for spec in specs)
 

@@ -14,6 +14,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from tests.ended_starts import parameter_words
 
 from gray_box_observer.checkpoints.checkpoint import capture, encode, load, save
 from gray_box_observer.observer.observer import Observer
@@ -21,6 +22,8 @@ from gray_box_observer.ros.observer.observer_node import ObserverNode
 from gray_box_observer.settings.configuration import Configuration
 
 pytestmark = pytest.mark.system
+
+MODULE = 'gray_box_observer.ros.observer.observer_node'
 
 EXCITATION = 'R[5,15]D[0.1,1]'
 
@@ -50,8 +53,8 @@ def test_a_node_that_is_ended_continues_where_it_was(rig, record, tmp_path, numb
     path = tmp_path / 'new' / 'c.safetensors'
     recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path, checkpoint__resume='true')
-    rig.send(recording, range(800))
-    rig.wait_for(samples_used=800)
+    rig.send(recording, range(400))
+    rig.wait_for(samples_used=400)
     learnt = rig.estimates()
     code, _, said = rig.peer.end(rig.process, number)
     assert code == 0
@@ -62,8 +65,8 @@ def test_a_node_that_is_ended_continues_where_it_was(rig, record, tmp_path, numb
     rig.signals()
     assert rig.estimates() == learnt, 'told before any sample has come'
     assert rig.latched(Bool, 'motor/identified').data is True
-    rig.send(recording, range(800, 1200))
-    rig.wait_for(samples_used=400)
+    rig.send(recording, range(400, 600))
+    rig.wait_for(samples_used=200)
     assert rig.values()['resistance verdict'] == 'identified'
     assert f'continuing from {path}' in rig.peer.end(rig.process)[2]
 
@@ -196,9 +199,9 @@ def test_without_a_path_the_checkpoint_goes_below_ros_home(rig, record, tmp_path
     assert wanted.is_file()
 
 
-def test_a_start_with_a_path_outside_of_its_folder_is_one_line(rig, tmp_path):
-    rig.start(checkpoint__folder=tmp_path / 'a', checkpoint__path='/b/c.safetensors')
-    code, _, said = rig.peer.end(rig.process, None)
+def test_a_start_with_a_path_outside_of_its_folder_is_one_line(end_here, tmp_path):
+    places = {'checkpoint__folder': tmp_path / 'a', 'checkpoint__path': '/b/c.safetensors'}
+    code, _, said = end_here(MODULE, *parameter_words(predictor='false', **places))
     assert code == 2
     assert said.startswith("observer: error: checkpoint.path '/b/c.safetensors' leads out of ")
     assert said.count('\n') == 1
@@ -215,13 +218,13 @@ def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(
         checkpoint__period_s=0.1,
     )
     said = []
-    for first in range(0, 1200, 100):
+    for first in range(0, 600, 100):
         rig.send(recording, range(first, first + 100))
         rig.wait_for(samples_used=first + 100)
         said += [status.message for array in rig.diagnostics for status in array.status]
         rig.diagnostics.clear()
     assert any('the checkpoint was not written: cannot write' in message for message in said)
-    assert rig.estimates() == learnt_offline(recording, range(1200))
+    assert rig.estimates() == learnt_offline(recording, range(600))
     code, _, log = rig.peer.end(rig.process)
     assert code == 0
     assert 'cannot write' in log

@@ -14,8 +14,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, Float64MultiArray
+from tests.ended_starts import parameter_words
 
 pytestmark = pytest.mark.system
+
+MODULE = 'gray_box_observer.ros.observer.observer_node'
 
 EXCITATION = 'R[5,15]D[0.1,1]'
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
@@ -46,7 +49,7 @@ def publish(rig: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> No
 @pytest.mark.parametrize('rate', [1.0, 0.05])
 def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record, rate):
     """Voltage in an array, current in joint states, speed in a wrench: all by their paths."""
-    recording = record(EXCITATION, 8.0)
+    recording = record(EXCITATION, 4.0)
     rig.start(
         voltage__topic='drive/state',
         voltage__type='sensor_msgs/msg/JointState',
@@ -68,7 +71,7 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
         'torque': rig.peer.publisher(JointState, 'joint_states', RELIABLE, readers=1),
     }
     rows = []
-    for k in range(800):
+    for k in range(400):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
         voltage_v = float(recording.voltage_v[0, k])
         torque_nm = float(recording.torque_nm[0, k])
@@ -83,7 +86,7 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
             }
         )
     publish(rig, senders, rows)
-    rig.wait_for(samples_used=800)
+    rig.wait_for(samples_used=400)
     assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
 
 
@@ -111,7 +114,7 @@ def test_an_element_of_a_plain_array_is_stamped_by_the_middleware(rig):
 
 def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record):
     """The battery comes once a second and a half; the joint has another name than the motor."""
-    recording = record(EXCITATION, 8.0)
+    recording = record(EXCITATION, 4.0)
     rig.start(
         voltage__expression='duty * battery',
         duty__topic='duty',
@@ -135,7 +138,7 @@ def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record)
     senders['battery'].publish(first)
     rig.peer.wait(lambda: senders['battery'].wait_for_all_acked(Duration(seconds=5)), 'the battery')
     rows = []
-    for k in range(800):
+    for k in range(400):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
         duty = float(recording.voltage_v[0, k]) / 16.0
         current_a = float(recording.torque_nm[0, k]) / 0.01
@@ -148,7 +151,7 @@ def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record)
             row['battery'] = stamped(BatteryState(voltage=16.0), stamp_ns)
         rows.append(row)
     publish(rig, senders, rows)
-    rig.wait_for(samples_used=800)
+    rig.wait_for(samples_used=400)
     assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
 
 
@@ -176,12 +179,11 @@ def test_a_battery_that_falls_silent_is_named(rig):
     assert 'stale_input' in rig.values()['rejected']
 
 
-def test_an_expression_that_cannot_be_used_ends_the_start_in_one_line(rig):
-    rig.start(
-        voltage__expression='duty * batery', duty__topic='duty', battery__topic='battery_state'
-    )
-    assert rig.process.wait(60) == 2
-    said = rig.peer.end(rig.process)[2]
+def test_an_expression_that_cannot_be_used_ends_the_start_in_one_line(end_here):
+    topics = {'duty__topic': 'duty', 'battery__topic': 'battery_state'}
+    words = parameter_words(predictor='false', voltage__expression='duty * batery', **topics)
+    code, _, said = end_here(MODULE, *words)
+    assert code == 2
     assert 'batery.topic is not given: did you mean battery?' in said
     assert 'Traceback' not in said
 
@@ -261,9 +263,10 @@ def test_a_publisher_of_lesser_quality_is_named_with_the_override_that_mends_it(
     assert asked.values[0].string_value == 'best_effort'
 
 
-def test_what_the_observer_publishes_can_be_overridden_too(rig):
+def test_what_the_observer_publishes_can_be_overridden_too_and_an_unknown_topic_is_told(rig):
     name = 'qos_overrides./gray_box_observer/motor/inductance.publisher.durability'
-    rig.start('--ros-args', '-p', f'{name}:=volatile')
+    unknown = 'qos_overrides./motor/voltge.subscription.depth'
+    rig.start('--ros-args', '-p', f'{name}:=volatile', '-p', f'{unknown}:=5')
     rig.signals()
 
     def durability() -> list[Any]:
@@ -276,6 +279,8 @@ def test_what_the_observer_publishes_can_be_overridden_too(rig):
     assert [endpoint.qos_profile.durability for endpoint in other] == [
         DurabilityPolicy.TRANSIENT_LOCAL
     ]
+    said = rig.peer.end(rig.process)[2]
+    assert f'no such topic here, ignored: {unknown}' in said
 
 
 @pytest.mark.parametrize(
@@ -289,20 +294,13 @@ def test_what_the_observer_publishes_can_be_overridden_too(rig):
         ('/diagnostics.publisher.history:=some', 'quality of service of /diagnostics: '),
     ],
 )
-def test_an_override_that_does_not_exist_is_one_line(rig, override, words):
-    rig.start('--ros-args', '-p', f'qos_overrides.{override}')
-    code, _, said = rig.peer.end(rig.process, None)
+def test_an_override_that_does_not_exist_is_one_line(end_here, override, words):
+    override_words = ('-p', f'qos_overrides.{override}', '-p', 'predictor:=false')
+    code, _, said = end_here(MODULE, '--ros-args', *override_words)
     assert code == 2
     (line,) = [line for line in said.splitlines() if line.startswith('observer: error: ')]
     assert words in line
     assert 'see the parameters qos_overrides.' in line
-
-
-def test_an_override_of_a_topic_that_is_not_there_is_told(rig):
-    rig.start('--ros-args', '-p', 'qos_overrides./motor/voltge.subscription.depth:=5')
-    rig.signals()
-    said = rig.peer.end(rig.process)[2]
-    assert 'no such topic here, ignored: qos_overrides./motor/voltge.subscription.depth' in said
 
 
 def test_silence_is_explained_nobody_there_another_type_and_other_names(rig):

@@ -22,6 +22,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from tests.ended_starts import parameter_words
 
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import InlineTraining
@@ -101,8 +102,8 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
 
 def test_a_noise_free_motor_is_identified_and_whoever_comes_late_is_told(rig, record):
     rig.start()
-    rig.send(record(EXCITATION, 8.0), range(800))
-    rig.wait_for(samples_used=800)
+    rig.send(record(EXCITATION, 4.0), range(400))
+    rig.wait_for(samples_used=400)
     assert rig.latched(Bool, 'motor/identified').data is True
     assert rig.estimates() == pytest.approx(TRUTH, rel=1e-3)
     covariance = rig.latched(Float64MultiArray, 'motor/covariance')
@@ -191,12 +192,12 @@ def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_betwe
 
 
 def test_a_clock_that_is_set_back_begins_a_new_history_and_forgets_nothing(rig, record):
-    recording = record(EXCITATION, 8.0)
+    recording = record(EXCITATION, 4.0)
     rig.start()
-    rig.send(recording, range(400, 800))
+    rig.send(recording, range(200, 400))
+    rig.wait_for(samples_used=200)
+    rig.send(recording, range(200))
     rig.wait_for(samples_used=400)
-    rig.send(recording, range(400))
-    rig.wait_for(samples_used=800)
     assert int(rig.values()['signal restarts']) >= 1
     assert rig.estimates() == pytest.approx(TRUTH, rel=1e-3)
 
@@ -468,11 +469,11 @@ def test_the_life_cycle_is_followed_and_only_cleaning_up_forgets(rig, record, le
 
 def test_several_motors_share_their_messages_in_a_namespace(make_rig, record):
     rig = make_rig('/plant')
-    recording = record('R[5,15]D[0.1,1]', 8.0, motors=('left', 'right'))
+    recording = record('R[5,15]D[0.1,1]', 4.0, motors=('left', 'right'))
     rig.start('--ros-args', '-r', '__ns:=/plant', motors='[right, left]')
-    rig.send(recording, range(800))
-    rig.wait_for('left', samples_used=800)
-    rig.wait_for('right', samples_used=800)
+    rig.send(recording, range(400))
+    rig.wait_for('left', samples_used=400)
+    rig.wait_for('right', samples_used=400)
     assert rig.estimates('left') == pytest.approx(TRUTH, rel=1e-3)
     assert rig.estimates('right') == pytest.approx({**TRUTH, 'resistance': 1.5}, rel=1e-3)
 
@@ -522,9 +523,12 @@ def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middlewar
     )
 
 
-def test_a_field_that_the_type_has_not_is_refused_before_any_message(rig):
-    rig.start(torque__type='geometry_msgs/msg/WrenchStamped', torque__field='wrench.torque.zz')
-    code, _, said = rig.peer.end(rig.process, None)
+def test_a_field_that_the_type_has_not_is_refused_before_any_message(end_here):
+    wrench = {
+        'torque__type': 'geometry_msgs/msg/WrenchStamped',
+        'torque__field': 'wrench.torque.zz',
+    }
+    code, _, said = end_here(MODULE, *parameter_words(predictor='false', **wrench))
     errors = [line for line in said.splitlines() if 'error' in line]
     assert code == 2
     assert errors == [
@@ -546,21 +550,35 @@ def test_a_first_message_that_is_too_short_for_the_field_is_malformed_and_the_no
     ('parameters', 'words'),
     [
         ({'motor__torque_constant': -0.01}, 'motor.torque_constant'),
-        ({'motor__context_nodes': '[inductance, mass]'}, 'mass'),
-        ({'context_update': 'magic'}, 'context_update must be one of recursive, gradient'),
         (
             {'voltage__type': 'std_msgs/msg/Voltage'},
             "voltage.type 'std_msgs/msg/Voltage' is not a message",
         ),
-        ({'voltage__type': 5}, 'voltage.type'),
         ({'recursive__block': 'many'}, 'recursive.block'),
+    ],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameters, words):
+    check_one_line(peer.end(peer.start(MODULE, **parameters), None), words)
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'motor__context_nodes': '[inductance, mass]'}, 'mass'),
+        ({'context_update': 'magic'}, 'context_update must be one of recursive, gradient'),
+        ({'voltage__type': 5}, 'voltage.type'),
         ({'motors': '[left-hand]'}, 'motors must be distinct names'),
         ({'motor__initial__resistance': 'nan'}, 'motor.initial.resistance'),
         ({'motor__delay': 'guess'}, "motor.delay must be a number or estimate, got 'guess'"),
     ],
 )
-def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameters, words):
-    code, out, said = peer.end(peer.start(MODULE, **parameters), None)
+def test_so_is_any_other_in_the_process_of_the_test(end_here, parameters, words):
+    check_one_line(end_here(MODULE, *parameter_words(**parameters)), words)
+
+
+def check_one_line(ended: tuple[int, str, str], words: str) -> None:
+    """Check that a start has ended with code 2 and one line that says why."""
+    code, out, said = ended
     assert (code, out) == (2, '')
     assert said.startswith('observer: error: ')
     assert words in said
@@ -592,8 +610,8 @@ def test_a_robot_whose_other_joints_have_names_too_is_no_reason_to_warn(rig):
     assert 'speaks of' not in rig.peer.end(rig.process)[2]
 
 
-def test_help_says_how_to_give_parameters(peer):
-    code, out, said = peer.end(peer.start(MODULE, '--help'), None)
+def test_help_says_how_to_give_parameters(end_here):
+    code, out, said = end_here(MODULE, '--help')
     assert (code, said) == (0, '')
     assert '--params-file' in out
 

@@ -18,12 +18,15 @@ from rcl_interfaces.srv import (
 )
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
+from tests.ended_starts import parameter_words
 
 from gray_box_observer.ros.topics import SIGNAL_QOS
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 from gray_box_observer.settings.ros_parameter_file import NODE_NAME, flatten
 
 pytestmark = pytest.mark.system
+
+MODULE = 'gray_box_observer.ros.observer.observer_node'
 
 EXCITATION = 'R[5,15]D[0.1,1]'
 YAML = (
@@ -131,30 +134,30 @@ def test_what_may_change_while_it_runs_takes_effect_and_nothing_learnt_is_lost(r
     rig.wait_for(samples_used=970, pauses=1)
 
 
-@pytest.mark.parametrize(
-    ('name', 'value', 'reason'),
-    [
-        ('seed', 3, 'read-only'),
-        ('motor.torque_constant', 0.02, 'read-only'),
-        (
-            'verdict.identified_relative_std',
-            0.5,
-            'must not be above verdict.excited_relative_std, got 0.5 and 0.3',
-        ),
-        ('verdict.identified_relative_std', 2.0, 'range'),
-        ('alarm.learn', 0, 'range'),
-        ('horizon_s', float('nan'), 'horizon_s'),
-        ('gap_s', 'long', 'type'),
-    ],
-)
-def test_what_cannot_be_used_is_refused_with_the_reason(rig, name, value, reason):
+UNUSABLE = [
+    ('seed', 3, 'read-only'),
+    ('motor.torque_constant', 0.02, 'read-only'),
+    (
+        'verdict.identified_relative_std',
+        0.5,
+        'must not be above verdict.excited_relative_std, got 0.5 and 0.3',
+    ),
+    ('verdict.identified_relative_std', 2.0, 'range'),
+    ('alarm.learn', 0, 'range'),
+    ('horizon_s', float('nan'), 'horizon_s'),
+    ('gap_s', 'long', 'type'),
+]
+
+
+def test_what_cannot_be_used_is_refused_with_the_reason(rig):
     rig.start()
-    before = rig.call(GetParameters, 'get_parameters', names=[name]).values
-    successful, said = set_one(rig, name, value)
-    assert not successful
-    assert reason in said
-    assert '\n' not in said
-    assert rig.call(GetParameters, 'get_parameters', names=[name]).values == before
+    for name, value, reason in UNUSABLE:
+        before = rig.call(GetParameters, 'get_parameters', names=[name]).values
+        successful, said = set_one(rig, name, value)
+        assert not successful, name
+        assert reason in said
+        assert '\n' not in said
+        assert rig.call(GetParameters, 'get_parameters', names=[name]).values == before
 
 
 def test_what_is_set_together_is_judged_together_and_taken_whole_or_not_at_all(rig):
@@ -250,17 +253,16 @@ def test_nothing_that_is_set_from_outside_ends_the_node(rig, record):
     ],
 )
 def test_a_parameter_on_the_command_line_that_nobody_declared_is_refused_with_the_nearest(
-    rig, given, meant
+    end_here, given, meant
 ):
-    rig.start('--ros-args', '-p', f'{given}:=1.0')
-    code, _, said = rig.peer.end(rig.process, None)
+    code, _, said = end_here(MODULE, *parameter_words(**{given: 1.0}, predictor='false'))
     (line,) = [line for line in said.splitlines() if 'error' in line]
     assert code == 2
     assert line.startswith('observer: error: not a parameter of this node: ')
     assert meant in line
 
 
-def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, tmp_path):
+def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, end_here, tmp_path):
     path = tmp_path / 'shared.yaml'
     own = '/**:\n  ros__parameters:\n    motors: [m_1]\n    m_1: {torque_constant: 0.02}\n'
     path.write_text(f'{own}    m_2: {{torque_constant: 0.03}}\n    robot_radius: 1.0\n')
@@ -271,8 +273,9 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, t
     assert 'not of this node, ignored: m_2.torque_constant; --help' in said
     assert 'robot_radius' not in said  # another node's, by the wildcard
     path.write_text(f'{own}    checkpoint: {{resum: true}}\n')
-    rig.start('--ros-args', '--params-file', str(path))
-    code, _, said = rig.peer.end(rig.process, None)
+    code, _, said = end_here(
+        MODULE, '--ros-args', '--params-file', str(path), '-p', 'predictor:=false'
+    )
     assert code == 2
     assert 'checkpoint.resum (did you mean checkpoint.resume?)' in said
 
@@ -288,16 +291,14 @@ def test_a_section_that_names_the_node_holds_nothing_but_its_parameters(rig, tmp
     assert 'not of this node, ignored: robot_radius; --help' in said
 
 
-def test_help_lists_every_parameter(peer):
-    code, out, _ = peer.end(
-        peer.start('gray_box_observer.ros.observer.observer_node', '--help'), None
-    )
+def test_help_lists_every_parameter(end_here):
+    code, out, _ = end_here(MODULE, '--help')
     assert code == 0
     assert all(f'\n  {spec.name} ' in out for spec in (*OBSERVER_PARAMETERS, *MOTOR_PARAMETERS))
 
 
 def test_a_node_of_very_many_motors_ends_soon_while_it_is_still_starting(peer):
-    process = peer.start('gray_box_observer.ros.observer.observer_node', motors='["m[1..10000]"]')
+    process = peer.start(MODULE, motors='["m[1..10000]"]')
     peer.wait(lambda: NODE_NAME in peer.node.get_node_names(), 'the node')
     began_s = time.monotonic()
     code, _, said = peer.end(process)

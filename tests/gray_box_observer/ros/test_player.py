@@ -30,6 +30,7 @@ from .bag_processes import (
     check_defaults,
     check_help,
     check_refusal,
+    check_refusal_here,
     interrupted_twice,
     make_bag,
 )
@@ -255,12 +256,7 @@ def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_pat
     ('arguments', 'message'),
     [
         ([], 'player: error: no bag to replay'),
-        (['{tmp}/none'], 'no such bag'),
         (['{tmp}/text.mcap'], 'is no MCAP file'),
-        (['{tmp}/damaged'], 'no message in this bag: '),
-        (['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
-        (['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate must be of type float, got 'fast'"),
-        (['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
         (
             [
                 '{tmp}/bag',
@@ -276,6 +272,20 @@ def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_pat
             ['{tmp}/bag', '--ros-args', '-p', 'ratee:=2.0'],
             'ratee (did you mean rate?); --help lists them',
         ),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, arguments, message):
+    check_refusal(peer, tmp_path, PLAYER, arguments, message)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['{tmp}/none'], 'no such bag'),
+        (['{tmp}/damaged'], 'no message in this bag: '),
+        (['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
+        (['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate must be of type float, got 'fast'"),
+        (['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
         (
             ['{tmp}/bag', '--delay', '4'],
             '--delay of ros2 bag is not known here; it waits for readers: ',
@@ -293,12 +303,12 @@ def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_pat
         (['{tmp}/late', '--ros-args', '-p', 'clock:=true'], 'which /clock cannot tell'),
     ],
 )
-def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, arguments, message):
-    check_refusal(peer, tmp_path, PLAYER, arguments, message)
+def test_so_is_any_other_in_the_process_of_the_test(end_here, tmp_path, arguments, message):
+    check_refusal_here(end_here, tmp_path, PLAYER, arguments, message)
 
 
-def test_help_names_every_parameter(peer):
-    check_help(peer, PLAYER, PLAYER_PARAMETERS)
+def test_help_names_every_parameter(end_here):
+    check_help(end_here, PLAYER, PLAYER_PARAMETERS)
 
 
 def test_the_defaults_are_those_that_are_accepted():

@@ -14,6 +14,7 @@ from io import StringIO
 from unittest.mock import Mock
 
 import pytest
+from rclpy.node import Node
 from tests.conftest import free_domain
 
 from gray_box_observer.ros import running
@@ -151,12 +152,20 @@ def test_a_defect_shows_its_traceback():
     assert any('Traceback' in line for line in errors)
 
 
-@pytest.mark.parametrize(
-    'arguments',
-    [('-p', 'rate:=fast'), ('-p', 'rate'), ('--params-file', '/nowhere.yaml'), ('--nonsense',)],
-)
+@pytest.mark.parametrize('arguments', [('-p', 'rate:=fast'), ('--nonsense',)])
 def test_what_ros_refuses_is_one_line_too(arguments):
     returned, _, errors = finish(start('waits', 'default', '--ros-args', *arguments))
+    assert returned == 2
+    assert len(errors) == 1 and errors[0].startswith('example: error: ')
+
+
+@pytest.mark.parametrize('arguments', [('-p', 'rate'), ('--params-file', '/nowhere.yaml')])
+def test_so_is_what_it_refuses_in_the_process_of_the_test(end_here, arguments):
+    def main() -> int:
+        return running.run_node(lambda stop: Node('example'), name='example')
+
+    returned, _, said = end_here(main, '--ros-args', *arguments)
+    errors = [line for line in said.splitlines() if 'error:' in line or 'Traceback' in line]
     assert returned == 2
     assert len(errors) == 1 and errors[0].startswith('example: error: ')
 
