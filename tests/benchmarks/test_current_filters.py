@@ -29,7 +29,7 @@ def test_rows_and_figures_count_motors_and_claims() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['none', 'moving average, newest weighs 0.5'])
 def test_of_a_filtered_current_nothing_false_is_believed(name: str) -> None:
-    case = current_filters.cases(8.0)['no speed', name][0]
+    case = current_filters.cases(5.0)['no speed', name][0]
     trial = run_filtered(case, seed=2)
     assert trial.false == 0
     assert trial.is_near == (name == 'none')

@@ -57,8 +57,9 @@ def test_a_record_says_what_its_user_knows_and_what_is_true() -> None:
     assert record.scenario.name == 'constant'
     assert record.truth['load_torque'] != 0.0
     assert record.truth['quadratic_friction'] == 0.0
-    assert record.readings.voltage_v.size == joint_record(3).readings.voltage_v.size
-    assert np.array_equal(record.torque_nm, joint_record(3).torque_nm)
+    again = joint_record(3)
+    assert record.readings.voltage_v.size == again.readings.voltage_v.size
+    assert np.array_equal(record.torque_nm, again.torque_nm)
 
 
 def test_rows_and_figures_count_joints() -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 
@@ -103,21 +102,32 @@ def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inpu
     assert counts[1] >= residual + physics
 
 
+def exit_status(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> object:
+    """Run the program here, where torch is already imported; return its exit status."""
+    monkeypatch.setattr(sys, 'argv', [str(PROGRAM), *map(str, arguments)])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(PROGRAM), run_name='__main__')
+    return caught.value.code
+
+
 @pytest.mark.parametrize('folder', ['missing', '.'])
-def test_a_folder_without_measurements_is_one_clear_line(tmp_path: Path, folder: str) -> None:
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
-    command = [sys.executable, PROGRAM, '--data', tmp_path / folder]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=600, env=environment, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith(
+def test_a_folder_without_measurements_is_one_clear_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    folder: str,
+) -> None:
+    assert exit_status(monkeypatch, '--data', tmp_path / folder) == 2
+    said = capfd.readouterr().err
+    assert said.startswith(
         f'real_prediction: error: no measurements in {tmp_path / folder}: expected '
     )
-    assert done.stderr.count('\n') == 1
+    assert said.count('\n') == 1
 
 
-def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> None:
+def test_the_servo_alone_gives_its_figures_on_the_last_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     random = np.random.default_rng(1)
     current = 0.0
     period_s = 49.75e-6
@@ -139,13 +149,8 @@ def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> N
     log = tmp_path / 'openservocore' / 'rl-probe-bench.csv'
     log.parent.mkdir()
     log.write_text('\n'.join(lines) + '\n')
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
-    command = [sys.executable, PROGRAM, '--data', tmp_path, '--quick']
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=600, env=environment, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
+    assert exit_status(monkeypatch, '--data', tmp_path, '--quick') == 0
+    told = json.loads(capfd.readouterr().out.splitlines()[-1])
     assert (told['benchmark'], told['seeds']) == ('real_prediction', 1)
     figures = {figure['name']: figure['value'] for figure in told['figures']}
     assert figures['SG90 servo: residual / white box, median'] == pytest.approx(1.0, abs=0.1)

@@ -226,7 +226,7 @@ def test_validation_and_test_data_never_reach_the_weights() -> None:
 
 def test_further_variants_go_through_the_observer_which_learns_nothing_from_the_tests() -> None:
     pytest.importorskip('torch')
-    data = record_all(0, 10.0, 3.0, OURS.every)
+    data = replace(record_all(0, 10.0, 3.0, OURS.every), tests=record(SETS[5:], 2, 3.0, OURS.every))
     for variant in ('supervised', *extra_variants()):
         trained = online.train(OURS.configuration(variant), data.training, 1)
         before = online.theta(trained).copy()
@@ -239,7 +239,7 @@ def test_further_variants_go_through_the_observer_which_learns_nothing_from_the_
 
 
 def test_the_control_whose_network_learns_nothing_still_identifies_the_motor() -> None:
-    data = record_all(0, 60.0, 3.0, OURS.every)
+    data = record_all(0, 30.0, 3.0, OURS.every)
     control = online.train(OURS.configuration('main'), data.training, 1, network=False)
     assert online.theta(control) == pytest.approx([0.5, 1.0, 10.0], rel=1e-3)
     assert np.all(
@@ -279,7 +279,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_smallest_run_ends_with_one_line_of_json_that_judges_nothing() -> None:
     pytest.importorskip('torch')
-    lengths = ('--training-s', '30', '--test-s', '20')
+    lengths = ('--training-s', '20', '--test-s', '20')
     done = run('--quick', '--epochs', '2', *lengths, '--setting', 'faithful', '--workers', '1')
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])

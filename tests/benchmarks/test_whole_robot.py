@@ -27,7 +27,7 @@ def test_rows_and_figures_count_motors_and_claims() -> None:
 def test_every_motor_of_a_robot_is_known_though_one_message_brings_all(
     speed_noise: float | None,
 ) -> None:
-    case = RobotCase(8, 200.0, 3.0, speed_noise, None)
+    case = RobotCase(4, 200.0, 3.0, speed_noise, None)
     trial = run_robot(case, seed=7)
     assert trial.false == 0
     assert trial.misfits == 0

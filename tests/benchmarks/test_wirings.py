@@ -20,7 +20,7 @@ def test_a_mistake_on_a_drawn_robot_is_named_and_nothing_wrong_is_believed(name:
 
 @pytest.mark.slow
 def test_of_a_robot_that_is_wired_rightly_nothing_is_said() -> None:
-    assert wirings.false_flags(12.0, seed=10_000) == ([], [])
+    assert wirings.false_flags(10.5, seed=10_000) == ([], [])
 
 
 def test_a_row_of_the_table_counts_robots_and_wheels() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ RULES = [
 NAMES = ('inductance', 'resistance', 'hysteresis')
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 THREE_TIMES_OFF = np.array([[1.5, 3.0, 30.0]])
+NOISE_NM = 1.1e-4
+"""A hundredth of the torque's spread."""
 
 
 @pytest.fixture(params=RULES, ids=lambda rule: rule.__name__)
@@ -82,20 +85,22 @@ def test_it_reaches_the_noise_free_truth_from_three_times_off(
     sound(nodes)
 
 
+@pytest.fixture(scope='module')
+def noisy_samples(samples_of: Callable[..., Samples]) -> Samples:
+    """Three motors of the thesis, each with voltages and noise of its own."""
+    plants = {f'motor_{k}': PlantParameters() for k in range(3)}
+    simulation = Simulation(plants, 'R[5,15]D[0.001,2]', seed=20, torque_noise_std=NOISE_NM)
+    return samples_of(simulation.record(60.0))
+
+
 @pytest.mark.slow
 def test_noisy_torque_is_identified_with_an_honest_covariance(
-    rule: Rule,
-    thesis_box: MotorWhiteBox,
-    record: Callable[..., Recording],
-    samples_of: Callable[..., Samples],
+    rule: Rule, thesis_box: MotorWhiteBox, noisy_samples: Samples
 ) -> None:
     distances = []
-    for seed in range(3):
+    for motor in range(3):
         nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
-        teach(
-            nodes,
-            samples_of(record('R[5,15]D[0.001,2]', 60.0, 20 + seed, torque_noise_relative=0.01)),
-        )
+        teach(nodes, [sample.select(np.array([motor])) for sample in noisy_samples])
         estimate = nodes.estimate()
         error = (estimate.value - TRUTH)[0]
         assert np.all(np.abs(error / TRUTH[0]) < [0.03, 0.02, 0.03])
@@ -135,7 +140,7 @@ def test_the_same_seed_gives_the_same_bytes(
     record: Callable[..., Recording],
     samples_of: Callable[..., Samples],
 ) -> None:
-    samples = samples_of(record(duration_s=10.0, torque_noise_relative=0.01))
+    samples = samples_of(record(duration_s=10.0, torque_noise_std=NOISE_NM))
     first, second = (teach(rule(thesis_box, THREE_TIMES_OFF, 7), samples) for _ in range(2))
     assert len(first) > 10
     for a, b in zip(first, second, strict=True):
@@ -152,7 +157,7 @@ def test_what_is_restored_goes_on_bit_for_bit(
     samples_of: Callable[..., Samples],
     at: int,
 ) -> None:
-    samples = samples_of(record(duration_s=20.0, torque_noise_relative=0.01))
+    samples = samples_of(record(duration_s=20.0, torque_noise_std=NOISE_NM))
     nodes = rule(thesis_box, THREE_TIMES_OFF, 3)
     twin = rule(thesis_box, TRUTH, 99)
     teach(nodes, samples[:at])
@@ -209,10 +214,9 @@ def test_a_resting_motor_with_a_noisy_sensor_identifies_nothing(
     assert Verdict.IDENTIFIED not in nodes.estimate().verdicts[0]
 
 
-@pytest.mark.slow
-def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
-    rule: Rule, thesis_box: MotorWhiteBox
-) -> None:
+@pytest.fixture(scope='module')
+def samples_held_at_last() -> Samples:
+    """The thesis's motor for 40 s at voltages that move, and for 100 s at the last of them."""
     simulation = Simulation({'m': PlantParameters()}, 'external', torque_noise_std=5e-4, seed=2)
     random = np.random.default_rng(2)
     samples = []
@@ -229,6 +233,14 @@ def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
             )
         )
         previous_v = command
+    return samples
+
+
+@pytest.mark.slow
+def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
+    rule: Rule, thesis_box: MotorWhiteBox, samples_held_at_last: Samples
+) -> None:
+    samples = samples_held_at_last
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples[:5000])
     before = nodes.estimate()
@@ -263,7 +275,7 @@ def test_one_absurd_burst_does_not_spoil_a_settled_estimate(
     record: Callable[..., Recording],
     samples_of: Callable[..., Samples],
 ) -> None:
-    samples = samples_of(record(seed=3, torque_noise_relative=0.01))
+    samples = samples_of(record(seed=3, torque_noise_std=NOISE_NM))
     for k in range(3000, 3003):
         samples[k].torque_nm[:] = 1e6
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
@@ -290,25 +302,32 @@ def test_samples_across_a_restart_teach_nothing(
     sound(nodes)
 
 
-@pytest.mark.slow
-def test_irregular_stamps_are_no_hindrance(rule: Rule, thesis_box: MotorWhiteBox) -> None:
+@pytest.fixture(scope='module')
+def irregular_samples() -> Samples:
+    """The thesis's motor, 2 to 18 ms between two samples."""
     recording = Simulation(
-        {'m': PlantParameters()}, 'R[5,15]D[0.1,2]', seed=8, sample_rate_hz=1000.0
+        {'m': PlantParameters()}, 'R[5,15]D[0.1,2]', seed=8, sample_rate_hz=500.0
     ).record(40.0)
     random = np.random.default_rng(8)
-    kept = np.cumsum(random.integers(2, 20, 4000))
+    kept = np.cumsum(random.integers(1, 10, 4000))
     kept = kept[kept < recording.stamp_ns.size]
-    samples = [
+    return [
         Sample.of_one_motor(
             int(recording.stamp_ns[end]),
-            0.0 if start == 0 else (end - start) * 1e-3,
+            0.0 if start == 0 else (end - start) * 2e-3,
             float(recording.voltage_v[0, start:end].mean()),
             float(recording.torque_nm[0, end]),
         )
         for start, end in zip([0, *kept[:-1]], kept, strict=True)
     ]
+
+
+@pytest.mark.slow
+def test_irregular_stamps_are_no_hindrance(
+    rule: Rule, thesis_box: MotorWhiteBox, irregular_samples: Samples
+) -> None:
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
-    teach(nodes, samples)
+    teach(nodes, irregular_samples)
     assert np.all(np.abs(nodes.theta / TRUTH - 1.0)[0] < [0.03, 0.005, 0.01])
 
 
@@ -318,7 +337,7 @@ def test_freezing_stops_all_change_and_says_so(
     record: Callable[..., Recording],
     samples_of: Callable[..., Samples],
 ) -> None:
-    samples = samples_of(record(duration_s=20.0, torque_noise_relative=0.01))
+    samples = samples_of(record(duration_s=20.0, torque_noise_std=NOISE_NM))
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples[:600])
     nodes.freeze(True)
@@ -411,22 +430,23 @@ def test_a_sample_without_its_speed_does_not_poison_the_estimate(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('noise', [0.0, 0.01])
+@pytest.mark.parametrize('has_noise', [False, True])
 def test_a_step_of_the_resistance_is_followed(
     rule: Rule,
     thesis_box: MotorWhiteBox,
     record: Callable[..., Recording],
     samples_of: Callable[..., Samples],
-    noise: float,
+    has_noise: bool,
 ) -> None:
     recording = record(
         'R[5,15]D[0.2,3]',
         100.0,
         5,
-        torque_noise_relative=noise,
+        torque_noise_std=NOISE_NM,
         schedule=('motor.resistance=1.3@50',),
     )
-    samples = samples_of(recording)
+    torque_nm = recording.torque_nm if has_noise else recording.true_torque_nm
+    samples = samples_of(replace(recording, torque_nm=torque_nm))
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples[:5000])
     assert nodes.theta[0, 1] == pytest.approx(1.0, rel=0.02)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dc_motor_sim.simulation import Recording
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import Estimate, RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.trajectory import UNKNOWN, restart_variance
 from gray_box_observer.samples import Sample
@@ -17,7 +18,7 @@ from gray_box_observer.white_box import MotorWhiteBox
 TRUTH = np.array([0.5, 1.0, 10.0])
 THREE_TIMES_OFF = np.array([[1.5, 3.0, 30.0]])
 NOISE_NM = 1e-4
-SEEDS = 16
+MOTORS = 16
 
 Samples = Sequence[Sample]
 
@@ -45,22 +46,23 @@ def test_the_variance_that_a_restart_leaves_is_that_of_a_kalman_filter() -> None
 
 @pytest.mark.slow
 def test_a_motor_heard_in_snatches_is_known_as_well_as_is_said(
-    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    thesis_box: MotorWhiteBox, samples_of: Callable[..., Samples]
 ) -> None:
     nees = []
-    for seed in range(SEEDS):
-        samples = list(
-            samples_of(record('R[5,15]D[0.2,2]', 20.0, seed, torque_noise_relative=0.01))
-        )
+    plants = {f'motor_{k}': PlantParameters() for k in range(MOTORS)}
+    simulation = Simulation(plants, 'R[5,15]D[0.2,2]', seed=0, torque_noise_std=1.1 * NOISE_NM)
+    samples = samples_of(simulation.record(20.0))
+    for motor in range(MOTORS):
         nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
         for k, sample in enumerate(samples):  # every half second something is missing
-            nodes.learn(sample.beginning() if k % 50 == 0 else sample)
+            own = sample.select(np.array([motor]))
+            nodes.learn(own.beginning() if k % 50 == 0 else own)
         estimate = nodes.estimate()
         error = estimate.value[0] - TRUTH
         nees.append(float(error @ np.linalg.solve(estimate.covariance[0], error)))
         assert nodes.change_count == 0
-    assert sum(nees) < chi2.ppf(0.999, 3 * SEEDS)
-    assert sum(nees) > chi2.ppf(0.001, 3 * SEEDS)
+    assert sum(nees) < chi2.ppf(0.999, 3 * MOTORS)
+    assert sum(nees) > chi2.ppf(0.001, 3 * MOTORS)
 
 
 @pytest.mark.parametrize('off', [-3.5, 3.5])

@@ -17,7 +17,7 @@ from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import TERMS
 
-CASES = int(os.environ.get('DRAWN_MOTORS', '200'))
+CASES = int(os.environ.get('DRAWN_MOTORS', '100'))
 PARTS = 10
 
 SETS_OF_NODES = (

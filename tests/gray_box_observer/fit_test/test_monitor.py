@@ -249,11 +249,11 @@ def test_what_a_test_has_found_goes_out_with_the_next_estimate() -> None:
     assert group.observer is not None
     group.observer.retested()
     changes = []
-    for _ in _feed_on(observer, _healthy(seed=7, samples=3 * SAMPLES)):
+    for _ in _feed_on(observer, _healthy(seed=7, samples=2 * SAMPLES)):
         changes += group.observer.retested().values()
     assert len(changes) >= 3, 'it was tested'
     assert not any(changes)
-    for _ in _feed_on(observer, _free_rotor(seed=8, samples=2 * SAMPLES), later=4 * SAMPLES):
+    for _ in _feed_on(observer, _free_rotor(seed=8, samples=2 * SAMPLES), later=3 * SAMPLES):
         changes += group.observer.retested().values()
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
     assert not any(changes)

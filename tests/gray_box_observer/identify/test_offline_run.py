@@ -19,10 +19,11 @@ Messages = list[tuple[str, int, bytes]]
 
 def observe(*bags: Path, training: Any = None, **given: Any) -> Outcome:
     small = {'training.hidden': 3, 'training.context': 8, 'training.steps': 3}
-    return run(bags, Configuration.from_flat({**small, **given}), training)
+    predicts = {'predictor': training is not None}
+    return run(bags, Configuration.from_flat({**small, **predicts, **given}), training)
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def messages(record: Callable[..., Recording], messages_of: Callable[..., Messages]) -> Messages:
     return messages_of(record('R[5,15]D[0.2,2]', 10.0))
 
@@ -62,7 +63,7 @@ def test_the_predictor_has_no_say_in_the_estimates(
 ) -> None:
     bag = write_bag(tmp_path / 'bag', messages)
     assert (
-        observe(bag).digest
+        observe(bag, predictor=True).digest
         == observe(bag, training=InlineTraining).digest
         == observe(bag, predictor=False).digest
     )
@@ -250,7 +251,7 @@ def test_a_motor_whose_resistance_is_known_gives_the_rest(
     rule: str,
 ) -> None:
     bag = write_bag(
-        tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,2]', 60.0, torque_noise_relative=0.002))
+        tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,2]', 40.0, torque_noise_std=2.2e-5))
     )
     nodes = ['inductance', 'hysteresis']
     given = {'context_update': rule, 'motor.context_nodes': nodes, 'motor.known.resistance': 1.0}

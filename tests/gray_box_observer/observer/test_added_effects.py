@@ -35,10 +35,16 @@ THESIS_MOTOR = PlantParameters(
 )
 
 
-def fed(record: Recording, offset_v: float = 0.0, speed: bool = True, **values: object) -> Observer:
-    """Return an observer of a record whose voltage reads too high by an offset."""
+def fed(
+    record: Recording,
+    offset_v: float = 0.0,
+    speed: bool = True,
+    samples: int | None = None,
+    **values: object,
+) -> Observer:
+    """Return an observer of some samples of a record whose voltage reads an offset too high."""
     observer = Observer(Configuration.from_flat({**CONSTANTS, **NODES, **values}))
-    for k, stamp in enumerate(record.stamp_ns.tolist()):
+    for k, stamp in enumerate(record.stamp_ns[:samples].tolist()):
         observer.voltage('motor', stamp, float(record.voltage_v[0, k]) + offset_v)
         w = float(record.speed_rad_s[0, k]) if speed else np.nan
         observer.torque('motor', stamp, float(record.torque_nm[0, k]), w)
@@ -61,7 +67,7 @@ def values_of(motor: MotorView) -> dict[str, tuple[float, float, str]]:
 @pytest.fixture(scope='module')
 def lossy() -> Observer:
     """A motor that loses 0.6 V, observed until command and current had different signs."""
-    return fed(recorded(LOSSY, LIVELY, 4.0, 1))
+    return fed(recorded(LOSSY, LIVELY, 5.0, 1), samples=2500)
 
 
 def test_a_lost_voltage_is_added_and_everything_is_right(lossy: Observer) -> None:
@@ -77,7 +83,7 @@ def test_a_lost_voltage_is_added_and_everything_is_right(lossy: Observer) -> Non
 
 @pytest.mark.parametrize('offset_v', [0.3, -0.3])
 def test_an_offset_of_either_sign_is_added_and_everything_is_right(offset_v: float) -> None:
-    motor = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1), offset_v).motors['motor']
+    motor = fed(recorded(GEAR_MOTOR, LIVELY, 3.0, 1), offset_v, samples=1500).motors['motor']
     values = values_of(motor)
     assert motor.added_effects == ('voltage_offset',)
     assert values['voltage_offset'][0] == pytest.approx(offset_v, abs=0.01)
@@ -86,15 +92,16 @@ def test_an_offset_of_either_sign_is_added_and_everything_is_right(offset_v: flo
 
 
 def test_what_is_not_there_is_not_added() -> None:
-    one = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1)).motors['motor']
-    other = fed(recorded(GEAR_MOTOR, LIVELY, 2.0, 1), **{'motor.effects': 'none'}).motors['motor']
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 1)
+    one = fed(record, samples=1500).motors['motor']
+    other = fed(record, samples=1500, **{'motor.effects': 'none'}).motors['motor']
     assert one.added_effects == ()
     assert one.estimate.value.tobytes() == other.estimate.value.tobytes()
     assert one.estimate.covariance.tobytes() == other.estimate.covariance.tobytes()
 
 
 def test_a_motor_of_the_thesis_may_lose_a_voltage_too() -> None:
-    record = recorded(replace(THESIS_MOTOR, brush_drop=0.6), LIVELY, 4.0, 1)
+    record = recorded(replace(THESIS_MOTOR, brush_drop=0.6), LIVELY, 2.5, 1)
     motor = fed(record, speed=False, **{'motor.context_nodes': [*NODES_OF_THESIS]}).motors['motor']
     values = values_of(motor)
     assert motor.white_box.speed_source == 'torque_constant'
@@ -106,7 +113,7 @@ def test_a_motor_of_the_thesis_may_lose_a_voltage_too() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ('plant', 'duration_s', 'seed', 'effect'),
-    [(LOSSY, 6.0, 1, 'brush_drop'), (DEADENED, 8.0, 3, 'dead_zone')],
+    [(LOSSY, 5.0, 1, 'brush_drop'), (DEADENED, 6.0, 3, 'dead_zone')],
     ids=['lost_voltage', 'dead_zone'],
 )
 def test_an_effect_is_found_beside_a_rotor_that_nobody_measures(
@@ -128,7 +135,7 @@ def test_an_effect_is_found_beside_a_rotor_that_nobody_measures(
 def test_a_dead_zone_is_added_and_everything_is_right(zone_v: float, speed: bool) -> None:
     plant = replace(GEAR_MOTOR if speed else THESIS_MOTOR, dead_zone=zone_v)
     nodes = {} if speed else {'motor.context_nodes': [*NODES_OF_THESIS]}
-    motor = fed(recorded(plant, LIVELY, 4.0, 2), speed=speed, **nodes).motors['motor']
+    motor = fed(recorded(plant, LIVELY, 2.5, 2), speed=speed, **nodes).motors['motor']
     assert motor.added_effects == ('dead_zone',)
     assert motor.fit.verdict.value in ('ok', 'warning')
     for name, (value, std, verdict) in values_of(motor).items():
@@ -179,7 +186,7 @@ NODES_OF_THESIS = ('inductance', 'resistance', 'hysteresis')
 def test_where_nothing_may_be_added_the_reason_is_given(
     values: dict[str, object], why: str
 ) -> None:
-    motor = fed(recorded(LOSSY, LIVELY, 0.5, 1), **values).motors['motor']
+    motor = fed(recorded(LOSSY, LIVELY, 5.0, 1), samples=500, **values).motors['motor']
     assert motor.added_effects == ()
     assert why in motor.effects_reason
 
@@ -225,7 +232,7 @@ def test_an_effect_that_the_user_has_named_is_believed_where_it_differs_from_its
         'motor.context_nodes': [*NODES_OF_THESIS, named],
         'motor.speed_source': 'torque_constant',
     }
-    forward = fed(recorded(plant, 'R[3,10]D[0.05,0.5]', 3.0, 1), offset_v, speed=False, **nodes)
+    forward = fed(recorded(plant, 'R[3,10]D[0.05,0.5]', 2.0, 1), offset_v, speed=False, **nodes)
     values = values_of(forward.motors['motor'])
     assert values[named][2] in ('converging', 'unexcited')
     assert values[named][1] > 0.4
@@ -254,8 +261,10 @@ def test_a_named_effect_that_is_another_one_leaves_back_emf_open_beside_a_measur
 
 def test_an_offset_is_identified_where_its_sign_is_known_and_negligible_near_zero() -> None:
     nodes = {'motor.context_nodes': ['inductance', 'resistance', 'voltage_offset']}
-    record = recorded(GEAR_MOTOR, LIVELY, 1.0, 1)
-    none, some = (fed(record, volts, **nodes).motors['motor'] for volts in (0.0, -0.3))
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 1)
+    none, some = (
+        fed(record, volts, samples=1000, **nodes).motors['motor'] for volts in (0.0, -0.3)
+    )
     assert values_of(none)['voltage_offset'][2] == 'negligible'
     assert values_of(some)['voltage_offset'][2] == 'identified'
     assert none.estimate.identified(0)
@@ -289,12 +298,14 @@ def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
     through = made()
     restored = []
     pieces = set()
-    for sample in samples_of(recorded(plant, LIVELY, 2.0, 2)):
+    for sample in samples_of(recorded(plant, LIVELY, 2.5, 2))[:1500]:
         through.step(sample)
         for other in restored:
             other.step(sample)
+        if len(restored) == 2:
+            continue
         done = through.state()[0]['speed'].get('trial', {}).get('pieces', -1)
-        if done >= 0 and done not in pieces and len(restored) < 2:
+        if done >= 0 and done not in pieces:
             pieces.add(done)
             plain, arrays = through.state()
             restored.append(made())
@@ -325,7 +336,7 @@ def test_a_restored_motor_has_the_effects_that_it_had(lossy: Observer, tmp_path:
 
 
 def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
-    record = recorded(DEADENED, LIVELY, 4.0, 2)
+    record = recorded(DEADENED, LIVELY, 2.5, 2)
     half = record.stamp_ns.size // 2
     path = tmp_path / 'motor.safetensors'
     through, after = (Observer(Configuration.from_flat({**CONSTANTS, **NODES})) for _ in range(2))
@@ -353,7 +364,7 @@ def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
 
 def test_a_trial_of_a_motor_with_a_dead_zone_is_restored_with_the_same_forms() -> None:
     motor = made()
-    for sample in samples_of(recorded(DEADENED, LIVELY, 2.0, 2)):
+    for sample in samples_of(recorded(DEADENED, LIVELY, 2.5, 2))[:1500]:
         motor.step(sample)
     kind = motor.form_choice.kind
     assert kind.dead_zone_v == pytest.approx(0.8, rel=0.02)
@@ -372,7 +383,7 @@ def test_a_trial_of_a_motor_with_a_dead_zone_is_restored_with_the_same_forms() -
 @pytest.fixture(scope='module')
 def deadened() -> tuple[dict[str, Any], dict[str, Any]]:
     """What is saved of a motor whose driver has a dead zone."""
-    return fed(recorded(DEADENED, LIVELY, 2.0, 1)).motors['motor'].observer.state()
+    return fed(recorded(DEADENED, LIVELY, 2.5, 2), samples=1500).motors['motor'].observer.state()
 
 
 @pytest.mark.parametrize('dead_zone_v', [-1.0, float('nan'), '1', None, 1e300])
@@ -390,7 +401,7 @@ def test_a_saved_dead_zone_that_is_none_is_refused(
 def tried() -> tuple[dict[str, Any], dict[str, Any]]:
     """What is saved of a motor in the middle of a trial."""
     motor = made()
-    for sample in samples_of(recorded(LOSSY, LIVELY, 2.0, 1)):
+    for sample in samples_of(recorded(LOSSY, LIVELY, 5.0, 1)):
         motor.step(sample)
         plain, arrays = motor.state() if not motor.form_choice.is_idle else ({}, {})
         if 'trial' in plain.get('speed', {}):
@@ -426,9 +437,9 @@ def test_candidates_that_could_not_have_been_are_refused(
 
 
 def test_the_choice_does_not_depend_on_when_deferred_work_is_done(lossy: Observer) -> None:
-    record = recorded(LOSSY, LIVELY, 4.0, 1)
+    record = recorded(LOSSY, LIVELY, 5.0, 1)
     eager = Observer(Configuration.from_flat({**CONSTANTS, **NODES}))
-    for k, stamp in enumerate(record.stamp_ns.tolist()):
+    for k, stamp in enumerate(record.stamp_ns[:2500].tolist()):
         eager.voltage('motor', stamp, float(record.voltage_v[0, k]))
         w = float(record.speed_rad_s[0, k])
         eager.torque('motor', stamp, float(record.torque_nm[0, k]), w)
@@ -458,7 +469,7 @@ def test_the_text_says_what_was_added() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_nothing_is_added_for_a_speed_that_comes_late(seed: int) -> None:
-    record = recorded(GEAR_MOTOR, LIVELY, 6.0, seed)
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, seed)
     late = np.concatenate([np.zeros((1, 2)), record.speed_rad_s[:, :-2]], axis=1)
     motor = fed(replace(record, speed_rad_s=late)).motors['motor']
     assert motor.added_effects == ()

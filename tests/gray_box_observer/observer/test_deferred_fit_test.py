@@ -28,7 +28,7 @@ INTERVAL_NS = 1_000_000
 TORQUE_CONSTANT = 0.01
 BLOCK = 32
 OFFSET_FROM = 1500
-SAMPLES = 5000
+SAMPLES = 3000
 
 RESULT = FitResult(
     FitAssessment(FitVerdict.OK, 1.0, 1.0, (), 64),

@@ -28,6 +28,16 @@ NODES = [
 ]
 
 
+def part(record: Recording, samples: int) -> Recording:
+    """Return the first samples of a record."""
+    kept = slice(samples)
+    return replace(
+        record, stamp_ns=record.stamp_ns[kept], voltage_v=record.voltage_v[:, kept],
+        torque_nm=record.torque_nm[:, kept], true_torque_nm=record.true_torque_nm[:, kept],
+        speed_rad_s=record.speed_rad_s[:, kept],
+    )  # fmt: skip
+
+
 def noisy_speed(record: Recording) -> NDArray[np.float64]:
     """Return the speed of a record with 0.5 % noise."""
     speed = record.speed_rad_s[0]
@@ -46,9 +56,9 @@ def assert_right(motor: MotorView, names: list[str]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', [3, 5, 7])
+@pytest.mark.parametrize('seed', [3, 5])
 def test_a_fan_is_found_and_what_leans_on_it_is_right(seed: int) -> None:
-    motor = observed(recorded(FAN, LIVELY, 12.0, seed)).motors['motor']
+    motor = observed(recorded(FAN, LIVELY, 8.0, seed)).motors['motor']
     assert motor.added_effects == ('quadratic_friction',)
     assert motor.effects_reason.startswith('a rotor with a quadratic friction explains the data')
     assert motor.fit.verdict is FitVerdict.OK
@@ -56,9 +66,9 @@ def test_a_fan_is_found_and_what_leans_on_it_is_right(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', [3, 4, 6])
+@pytest.mark.parametrize('seed', [3, 5])
 def test_where_nothing_is_added_the_remedy_names_a_fan(seed: int) -> None:
-    record = recorded(FAN, LIVELY, 12.0, seed)
+    record = recorded(FAN, LIVELY, 8.0, seed)
     motor = observed(record, **{'motor.effects': 'none'}).motors['motor']
     assert motor.added_effects == ()
     assert motor.fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
@@ -74,7 +84,7 @@ def test_a_remedy_names_only_what_is_missing() -> None:
 
 @pytest.mark.slow
 def test_a_motor_without_a_fan_has_none() -> None:
-    motor = observed(recorded(GEAR_MOTOR, LIVELY, 8.0, 2)).motors['motor']
+    motor = observed(recorded(GEAR_MOTOR, LIVELY, 5.0, 2)).motors['motor']
     assert motor.added_effects == ()
     assert motor.fit.verdict is FitVerdict.OK
 
@@ -82,7 +92,7 @@ def test_a_motor_without_a_fan_has_none() -> None:
 @pytest.mark.slow
 def test_a_fan_that_is_named_is_told_beside_a_measured_speed() -> None:
     values = {'motor.speed_source': 'measured', 'motor.context_nodes': NODES}
-    record = recorded(FAN, LIVELY, 8.0, 2)
+    record = recorded(FAN, LIVELY, 6.0, 2)
     motor = observed(record, noisy_speed(record), **values).motors['motor']
     assert motor.fit.verdict is FitVerdict.OK
     assert_right(motor, NODES)
@@ -95,7 +105,7 @@ GEAR = 30.0
 def test_a_fan_behind_a_gear_is_told_from_no_near_start() -> None:
     """Its coefficient is 27,000 times as large as where identification starts by default."""
     powers = {'inertia': 2, 'coulomb_friction': 1, 'quadratic_friction': 3}
-    record = recorded(FAN, LIVELY, 8.0, 2)
+    record = recorded(FAN, LIVELY, 6.0, 2)
     geared = replace(
         record, torque_nm=GEAR * record.torque_nm, speed_rad_s=record.speed_rad_s / GEAR
     )
@@ -117,7 +127,7 @@ STAGES: dict[str, Callable[[dict[str, Any]], bool]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize('stage', STAGES)
 def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Path) -> None:
-    record = recorded(FAN, LIVELY, 12.0, 3)
+    record = recorded(FAN, LIVELY, 8.0, 3)
     one = Observer(Configuration.from_flat(CONSTANTS))
     other = Observer(Configuration.from_flat(CONSTANTS))
     for k, stamp in enumerate(record.stamp_ns.tolist()):
@@ -134,7 +144,7 @@ def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Pa
     checkpoint.save(one, tmp_path / 'one.safetensors')
     checkpoint.load(other, tmp_path / 'one.safetensors')
     for observer in (one, other):
-        feed(observer, [recorded(FAN, LIVELY, 5.0, 4)], 13_000_000_000)
+        feed(observer, [part(recorded(FAN, LIVELY, 8.0, 5), 3000)], 13_000_000_000)
     before, after = one.motors['motor'], other.motors['motor']
     assert after.added_effects == before.added_effects == ('quadratic_friction',)
     assert before.estimate.value.tobytes() == after.estimate.value.tobytes()
@@ -142,17 +152,17 @@ def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_rotor_that_truly_changes_gets_no_fan() -> None:
-    observer = observed(recorded(GEAR_MOTOR, LIVELY, 6.0, 2))
+    observer = observed(part(recorded(GEAR_MOTOR, LIVELY, 5.0, 2), 4000))
     changed = replace(GEAR_MOTOR, coulomb_friction=4e-3, viscous_friction=3e-5)
     begin_ns = 7_000_000_000
     for seed in (3, 4):
         for plant in (changed, GEAR_MOTOR):
-            begin_ns = feed(observer, [recorded(plant, LIVELY, 5.0, seed)], begin_ns)
+            begin_ns = feed(observer, [recorded(plant, LIVELY, 3.0, seed)], begin_ns)
             assert observer.motors['motor'].added_effects == ()
 
 
 def test_a_fan_belongs_to_a_rotor_alone() -> None:
-    choice = observed(recorded(FAN, LIVELY, 0.1, 2)).motors['motor'].observer.form_choice
+    choice = observed(part(recorded(FAN, LIVELY, 6.0, 2), 100)).motors['motor'].observer.form_choice
     assert choice.may_take(FormKind(ROTOR, ('quadratic_friction',)))
     assert choice.may_take(FormKind(ROTOR, ('load_torque', 'quadratic_friction')))
     assert not choice.may_take(FormKind(THESIS, ('quadratic_friction',)))

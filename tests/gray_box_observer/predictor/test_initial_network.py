@@ -11,6 +11,7 @@ from gray_box_observer.predictor import TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, first_network, fresh, load, save
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.steady_state import INPUTS
+from gray_box_observer.predictor.training import pretrain
 from gray_box_observer.predictor.training.pretrain import held_out_errors, main
 
 
@@ -63,8 +64,9 @@ def test_what_is_no_network_is_refused_in_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pretraining_makes_the_same_better_network_every_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(pretrain, 'HELD_OUT', 200)
     paths = [tmp_path / f'{k}.safetensors' for k in range(2)]
     for path in paths:
         assert main(['--steps', '15', '--hidden', '3', '--output', str(path), '--seed', '4']) == 0

@@ -25,14 +25,18 @@ Effect = Callable[[np.ndarray], np.ndarray]
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 
+NOISE_NM = 1.1e-4
+"""A hundredth of the torque's spread."""
+
+
 @pytest.fixture
 def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Callable[..., History]:
     """A recording as the trainer sees it, with a torque effect unknown to the white box."""
 
     def make(
-        effect: Effect = np.zeros_like, noise: float = 0.01, duration_s: float = 40.0
+        effect: Effect = np.zeros_like, noise_nm: float = NOISE_NM, duration_s: float = 40.0
     ) -> History:
-        made = record('R[5,15]D[0.001,2]', duration_s, torque_noise_relative=noise)
+        made = record('R[5,15]D[0.001,2]', duration_s, torque_noise_std=noise_nm)
         current_a = (made.torque_nm + effect(made.true_torque_nm)) / 0.01
         n = current_a.shape[1] - 1
         blank = np.full((1, n), np.nan)
@@ -57,8 +61,8 @@ def friction(torque_nm: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., History]) -> None:
-    for noise in (0.0, 0.01):
-        assert ResidualTrainer(0).learn(physics, [measured(noise=noise)]) == {}
+    for noise_nm in (0.0, NOISE_NM):
+        assert ResidualTrainer(0).learn(physics, [measured(noise_nm=noise_nm)]) == {}
 
 
 @pytest.mark.slow

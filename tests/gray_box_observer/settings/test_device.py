@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Simulation
+from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import builder, observer
@@ -120,6 +121,12 @@ def out_of_memory(*_: Any, **__: Any) -> None:
     )
 
 
+@cache
+def two_motors() -> Recording:
+    plants = {name: PlantParameters() for name in ('a', 'b')}
+    return Simulation(plants, 'R[5,15]D[0.2,3]', seed=3).record(4.0)
+
+
 FAILED = (
     '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have '
     'fewer motors'
@@ -139,9 +146,7 @@ def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_
         monkeypatch.setattr(module, 'torch_device', lambda name: torch_name)
     monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
     names = ('a', 'b')
-    r = Simulation({name: PlantParameters() for name in names}, 'R[5,15]D[0.2,3]', seed=3).record(
-        4.0
-    )
+    r = two_motors()
     told = {'motors': list(names), 'group_from': 2, 'device': 'cuda', 'training.period': 50}
     one = Observer(Configuration.from_flat(told), InlineTraining)
 
@@ -270,7 +275,7 @@ def test_a_group_is_observed_alike_by_torch_and_without(
     monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
     names = ('a', 'b', 'c')
     plants = {name: PlantParameters(resistance=1.0 + 0.2 * k) for k, name in enumerate(names)}
-    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=3, torque_noise_std=1e-4).record(20.0)
+    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=3, torque_noise_std=1e-4).record(12.0)
     both = [
         Observer(
             Configuration.from_flat({'motors': list(names), 'group_from': 2, 'device': device}),

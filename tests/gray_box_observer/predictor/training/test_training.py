@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -60,16 +60,31 @@ def samples(
     return samples_of(record('R[5,15]D[0.2,2]', 8.0))
 
 
+BOX = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+
+
+@pytest.fixture(scope='module')
+def shared_process() -> Iterator[TrainingProcess]:
+    """A process that goes on while tests come and go, for torch is slow to import."""
+    process = TrainingProcess()
+    resident = ProcessTraining(configuration(BOX, SMALL), process)
+    yield process
+    resident.close()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(660)
 @pytest.mark.parametrize('variant', [Variant.MAIN, Variant.PHYSICS])
-def test_a_process_of_its_own_trains_the_same_weights(
-    thesis_box: MotorWhiteBox, samples: list[Sample], variant: Variant
+def test_another_process_trains_the_same_weights(
+    thesis_box: MotorWhiteBox,
+    samples: list[Sample],
+    shared_process: TrainingProcess,
+    variant: Variant,
 ) -> None:
     rules = replace(SMALL, variant=variant, start='fresh')
     jobs = [job_of(samples[:400]), job_of(samples[:800])]
     inline = InlineTraining(configuration(thesis_box, rules))
-    process = ProcessTraining(configuration(thesis_box, rules))
+    process = ProcessTraining(configuration(thesis_box, rules), shared_process)
     try:
         for job in jobs:
             inline.submit(job)
@@ -195,12 +210,11 @@ def test_motors_of_one_observer_train_in_one_process_as_each_would_alone(
 @pytest.mark.slow
 @pytest.mark.timeout(660)
 def test_a_trainer_that_fails_leaves_those_beside_it_alone(
-    thesis_box: MotorWhiteBox, samples: list[Sample]
+    thesis_box: MotorWhiteBox, samples: list[Sample], shared_process: TrainingProcess
 ) -> None:
-    process = TrainingProcess()
     nonsense = {**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}}
-    failing = ProcessTraining(nonsense, process)
-    other = ProcessTraining(configuration(thesis_box, SMALL), process)
+    failing = ProcessTraining(nonsense, shared_process)
+    other = ProcessTraining(configuration(thesis_box, SMALL), shared_process)
     try:
         other.submit(job_of(samples[:400]))
         result_of(other)
