@@ -226,7 +226,8 @@ def test_validation_and_test_data_never_reach_the_weights() -> None:
 
 def test_further_variants_go_through_the_observer_which_learns_nothing_from_the_tests() -> None:
     pytest.importorskip('torch')
-    data = replace(record_all(0, 10.0, 3.0, OURS.every), tests=record(SETS[5:], 2, 3.0, OURS.every))
+    tests = record(SETS[5:], seed_of(0, Role.TEST), 3.0, OURS.every)
+    data = replace(record_all(0, 10.0, 3.0, OURS.every), tests=tests)
     for variant in ('supervised', *extra_variants()):
         trained = online.train(OURS.configuration(variant), data.training, 1)
         before = online.theta(trained).copy()

@@ -302,7 +302,7 @@ def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
         through.step(sample)
         for other in restored:
             other.step(sample)
-        if len(restored) == 2:
+        if len(restored) == 2 or through.form_choice.is_idle:
             continue
         done = through.state()[0]['speed'].get('trial', {}).get('pieces', -1)
         if done >= 0 and done not in pieces:

@@ -28,7 +28,8 @@ INTERVAL_NS = 1_000_000
 TORQUE_CONSTANT = 0.01
 BLOCK = 32
 OFFSET_FROM = 1500
-SAMPLES = 3000
+SAMPLES = 5000
+FOLLOWED = 3000
 
 RESULT = FitResult(
     FitAssessment(FitVerdict.OK, 1.0, 1.0, (), 64),
@@ -112,7 +113,7 @@ def undisturbed(
 ) -> list[list[bytes]]:
     """What is told at every sample while nobody asks."""
     observer = Observer(configuration)
-    return [feed(observer, signals, k) for k in range(SAMPLES)]
+    return [feed(observer, signals, k) for k in range(FOLLOWED)]
 
 
 def observer_of(observer: Observer) -> MotorObserver:
@@ -152,7 +153,7 @@ def test_whoever_asks_or_saves_changes_nothing(
     assert {told[-1] for told in undisturbed} >= {b'ok', b'untested'}
     observer = Observer(configuration)
     open_count = 0
-    for k in range(SAMPLES):
+    for k in range(FOLLOWED):
         assert feed(observer, signals, k) == undisturbed[k], k
         open_count += has_open_test(observer)
         observer_of(observer).retested()
@@ -167,7 +168,7 @@ def test_who_goes_on_from_a_checkpoint_in_the_middle_of_a_test_has_its_result(
     observer = Observer(configuration)
     resumed: Observer | None = None
     count = 0
-    for k in range(SAMPLES):
+    for k in range(FOLLOWED):
         feed(observer, signals, k)
         is_open = has_open_test(observer)
         if is_open and resumed is None:

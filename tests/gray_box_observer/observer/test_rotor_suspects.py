@@ -64,14 +64,14 @@ def _losing(record: Recording) -> Recording:
 def test_what_a_rotor_lacks_is_named(
     spoilt: Callable[[Recording], Recording], expected: tuple[str, ...]
 ) -> None:
-    fit = _fit_of(spoilt(recorded(GEAR_MOTOR, LIVELY, 6.0, 1)), **ROTOR)
+    fit = _fit_of(spoilt(recorded(GEAR_MOTOR, LIVELY, 4.0, 1)), **ROTOR)
     assert fit.verdict is FitVerdict.MISFIT
     assert fit.suspects[0].effect in expected
 
 
 @pytest.mark.slow
 def test_a_load_on_the_shaft_is_named_and_no_noise() -> None:
-    fit = _fit_of(recorded(LIFTING, LIVELY, 6.0, 2), **ROTOR)
+    fit = _fit_of(recorded(LIFTING, LIVELY, 4.0, 2), **ROTOR)
     assert fit.verdict is not FitVerdict.OK
     assert fit.suspects[0].effect == 'load'
     assert 'motor.context_nodes' in fit.suspects[0].remedy
@@ -79,7 +79,7 @@ def test_a_load_on_the_shaft_is_named_and_no_noise() -> None:
 
 @pytest.mark.slow
 def test_a_sensor_whose_noise_has_a_memory_is_no_load() -> None:
-    record = recorded(GEAR_MOTOR, LIVELY, 6.0, 3)
+    record = recorded(GEAR_MOTOR, LIVELY, 4.0, 3)
     fit = _fit_of(_with_memory(record, 0.7), **ROTOR)
     assert fit.suspects[0].effect == 'coloured_noise'
 
@@ -89,7 +89,7 @@ def test_a_sensor_whose_noise_has_a_memory_is_no_load() -> None:
 def test_a_delay_whose_samples_look_like_outliers_is_no_warning(seed: int) -> None:
     """The fit leaves out what lies behind a step; then R is some per cent wrong, and sure."""
     motor = replace(GEAR_MOTOR, inductance=8e-3, inertia=3e-5, coulomb_friction=3e-3)
-    record = recorded(motor, LIVELY, 8.0, seed)
+    record = recorded(motor, LIVELY, 6.0, seed)
     observer = Observer(Configuration.from_flat({**CONSTANTS, **ROTOR}))
     feed(observer, [_late(record, 6)])
     assert not observer.motors['motor'].estimate.identified(0)
@@ -100,7 +100,7 @@ def test_a_delay_whose_samples_look_like_outliers_is_no_warning(seed: int) -> No
 
 @pytest.mark.slow
 def test_spikes_hide_no_delay() -> None:
-    record = _late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1))
+    record = _late(recorded(GEAR_MOTOR, LIVELY, 4.0, 1))
     rng = np.random.default_rng(5)
     torque_nm = record.torque_nm.copy()
     places = rng.choice(torque_nm.shape[1], 20, replace=False)
@@ -119,10 +119,10 @@ def test_at_a_low_rate_noise_with_a_memory_is_no_load() -> None:
 
 @pytest.mark.slow
 def test_a_remedy_of_a_rotor_is_one_that_its_configuration_takes() -> None:
-    late = _fit_of(_late(recorded(GEAR_MOTOR, LIVELY, 6.0, 1)), **ROTOR)
+    late = _fit_of(_late(recorded(GEAR_MOTOR, LIVELY, 4.0, 1)), **ROTOR)
     assert 'motor.delay: estimate' not in late.suspects[0].remedy
     Configuration.from_flat({**CONSTANTS, **ROTOR, 'motor.delay': 0.003})
     nodes = ['inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction']
-    record = recorded(LIFTING, LIVELY, 6.0, 2)
+    record = recorded(LIFTING, LIVELY, 4.0, 2)
     told = _fit_of(record, **ROTOR, **{'motor.context_nodes': [*nodes, 'load_torque']})
     assert told.verdict is FitVerdict.OK
