@@ -39,7 +39,9 @@ def test_what_a_moving_average_was_made_of_is_known_from_the_second_row_on():
     smooth = {1: np.array([1.0, 1.5, 3.0, 3.0])}
     expression = Expression('unsmoothed(a, 0.5)', ('a',), 1)
     np.testing.assert_array_equal(expression(smooth), [np.nan, 2.0, 4.5, 3.0])
-    assert not expression.needs_time
+    time_s = np.array([0.0, 0.1, 0.3, 0.4])
+    np.testing.assert_array_equal(expression(smooth, time_s), [np.nan, 2.0, np.nan, 3.0])
+    assert expression.looks_back
     assert expression.positions(smooth) == []
 
 

@@ -51,7 +51,7 @@ def test_every_rate_of_change_has_a_number_of_its_own() -> None:
 
     assert formula({'a': 1.0, 'b': 3.0}, Past(rate, not_asked)) == 10.0 + 2 * 30.0
     assert asked == [(0, 1.0), (1, 3.0)]
-    assert formula.rate_count == 2
+    assert formula.past_count == 2
 
 
 def test_what_a_moving_average_was_made_of_follows_from_the_value_before() -> None:
@@ -65,7 +65,7 @@ def test_what_a_moving_average_was_made_of_follows_from_the_value_before() -> No
     past = Past(lambda number, _: 100.0 * number, before)
     assert formula({'a': 3.0}, past) == 2 * (3.0 - 0.75 * 2.0) / 0.25 + 100.0
     assert asked == [0]
-    assert formula.rate_count == 1
+    assert formula.past_count == 2
 
 
 @pytest.mark.parametrize('weight', ['0', '1.1', '2', 'a', '-0.5', 'True'])

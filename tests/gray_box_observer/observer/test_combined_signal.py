@@ -181,11 +181,22 @@ def test_a_moving_average_is_undone_but_where_a_value_of_it_was_lost() -> None:
     smooth = 0.0
     for k, current in enumerate(currents.tolist()):
         smooth = 0.25 * current + 0.75 * smooth
-        if k != 6:
+        if k not in (6, 8):
             taker.ingest('torque', duty(1000 + 10 * k, smooth), 0, 'states')
     told = {stamp: values['motor'] for _, stamp, values in observer.told}
-    expected = {1000 + 10 * k: currents[k] for k in range(1, 12) if k not in (6, 7)}
+    expected = {1000 + 10 * k: currents[k] for k in range(1, 12) if k not in (6, 7, 8, 9)}
     assert told == pytest.approx(expected)
+
+
+def test_what_is_made_of_no_value_is_none_either() -> None:
+    taker, observer = listening(
+        {'speed.expression': 'diff(unsmoothed(angle, 0.5))', 'angle.topic': 'encoder'}
+    )
+    for k, angle in enumerate((1.0, 2.0, 3.0, 4.0)):
+        taker.ingest('speed', SimpleNamespace(data=angle), (1000 + 10 * k) * MS, 'encoder')
+    told = [values['motor'] for _, _, values in observer.told]
+    assert math.isnan(told[0])
+    assert told[1:] == pytest.approx([100.0, 100.0])
 
 
 @pytest.mark.parametrize('quantity', ['torque', 'current'])

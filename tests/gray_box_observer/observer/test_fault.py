@@ -114,11 +114,11 @@ def test_a_rotor_that_gets_stuck_raises_the_alarm_where_speed_is_not_measured() 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('excitation', TABLE_5_1.values())
-def test_a_sound_motor_raises_no_alarm_in_half_a_minute_of_any_set_of_the_thesis(
+def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     record: Callable[..., Recording], excitation: str
 ) -> None:
     one = observer()
-    recording = record(excitation, 30.0, 5)
+    recording = record(excitation, 60.0, 5)
     noise_nm = 0.01 * recording.torque_nm[0].std()
     noise = np.random.default_rng(5).normal(0.0, noise_nm, recording.torque_nm.shape)
     results = feed(one, replace(recording, torque_nm=recording.torque_nm + noise))

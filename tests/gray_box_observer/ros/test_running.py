@@ -117,8 +117,9 @@ def wait_until_up(process: subprocess.Popen) -> None:
     It does where a process that was killed has left its shared memory locked.
     """
     before = list(itertools.takewhile(lambda line: line != 'up\n', process.stdout))
-    assert process.poll() is None, before
-    assert all('RTPS_TRANSPORT_SHM' in line for line in before), before
+    if process.poll() is not None or not all('RTPS_TRANSPORT_SHM' in line for line in before):
+        process.kill()
+        raise AssertionError(f'it is not up: {before}')
 
 
 @pytest.mark.parametrize('executor', ['default', 'single'])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import BagError, ExpressionError, brief
-from gray_box_observer.expressions.formula import Formula, Name, Past, Value
+from gray_box_observer.expressions.formula import LOST, Formula, Name, Past, Value
 
 Table = Mapping[int, NDArray[np.float64]]
 """Columns by their 1-based number.  shape of each: (row,)"""
@@ -59,9 +59,9 @@ class Expression:
         self.columns = set(self._places.values())
 
     @property
-    def needs_time(self) -> bool:
-        """Whether a rate of change stands in it."""
-        return self._formula is not None and self._formula.rate_count > 0
+    def looks_back(self) -> bool:
+        """Whether it asks for the row before, which the first has not."""
+        return self._formula is not None and self._formula.past_count > 0
 
     def __call__(
         self, table: Table, time_s: NDArray[np.float64] | None = None
@@ -79,7 +79,7 @@ class Expression:
             return _rate(np.broadcast_to(np.asarray(value, dtype=np.float64), rows), time_s)
 
         def before(_number: int, value: Value) -> Value:
-            return _before(np.broadcast_to(np.asarray(value, dtype=np.float64), rows))
+            return _before(np.broadcast_to(np.asarray(value, dtype=np.float64), rows), time_s)
 
         if self._formula is None:
             result = next(iter(values.values()))
@@ -141,6 +141,12 @@ def _rate(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> ND
     return np.where(passed_s > 0.0, np.diff(values, prepend=np.nan) / passed_s, np.nan)
 
 
-def _before(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Value of the row before; NaN in the first, shape (row,)."""
-    return np.concatenate([[np.nan], values[:-1]])[: values.size]
+def _before(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Value of the row before; NaN where there is none or one was lost, shape (row,)."""
+    before = np.concatenate([[np.nan], values[:-1]])[: values.size]
+    if time_s is None:
+        return before
+    passed_s = np.diff(time_s, prepend=np.nan)
+    forward_s = passed_s[passed_s > 0.0]
+    usual_s = float(np.median(forward_s)) if forward_s.size else 0.0
+    return np.where((passed_s > 0.0) & (passed_s <= LOST * usual_s), before, np.nan)

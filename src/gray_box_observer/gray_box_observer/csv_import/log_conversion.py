@@ -153,7 +153,7 @@ def csv_to_bag(
         raise BagError(f'{path}: none of {row_count} rows can be used ({filtered_count} filtered)')
     stamps_ns = _stamps(path, mapping, time_s[kept_rows], columns.lines[kept_rows])
     motors = [expressions.signals(name, table, time_s) for name in mapping.motors]
-    if expressions.has_rates:  # the first row has no rate of change
+    if expressions.looks_back:  # the first row has none before it
         passes[0] = False
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
     interval_s = float(np.median(np.diff(time_s[kept_rows]))) if kept_rows.size > 1 else math.nan
@@ -164,7 +164,7 @@ def csv_to_bag(
         doubts += rounding_doubt(intervals_s)
     for motor in motors:
         for signal, values in motor.signals():
-            rows_told = kept_rows[1:] if expressions.has_rates else kept_rows
+            rows_told = kept_rows[1:] if expressions.looks_back else kept_rows
             doubts += finite_doubt(
                 f'{signal} of {motor.name}', values[rows_told], columns.lines[rows_told]
             )
@@ -208,9 +208,9 @@ class _Expressions:
         return set().union(*(expression.columns for expression in self._all))
 
     @property
-    def has_rates(self) -> bool:
-        """Whether a rate of change stands in any of them."""
-        return any(expression.needs_time for expression in self._all)
+    def looks_back(self) -> bool:
+        """Whether any of them asks for the row before."""
+        return any(expression.looks_back for expression in self._all)
 
     def positions(
         self, name: str, table: dict[int, NDArray[np.float64]]

@@ -44,6 +44,10 @@ class Past(NamedTuple):
 
 FUNCTIONS = ('abs', 'sign', 'diff', 'unsmoothed')
 
+LOST = 1.5
+"""Times the usual interval, from which one has lost a value: a moving average knows that one, and
+nobody else does."""
+
 LONGEST = 1000
 """Signs of a text."""
 
@@ -94,15 +98,14 @@ class Formula:
 
     Attributes:
         names: Of the quantities, in the order in which they first stand in the text.
-        rate_count: How many ``diff`` there are.
+        past_count: How many of its functions ask for the value before.
         kind: What the unit of the whole expression measures, where it is one quantity with a unit;
             else empty.
     """
 
     def __init__(self, text: str, *, is_condition: bool = False) -> None:
         self.text = text
-        self.rate_count = 0
-        self._past_count = 0
+        self.past_count = 0
         self.kind = ''
         self._names: dict[Name, None] = {}
         self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
@@ -209,7 +212,6 @@ class Formula:
         if name == 'sign':
             return lambda values, past: np.sign(value(values, past))
         number = self._next_number()
-        self.rate_count += 1
         return lambda values, past: past.rate(number, value(values, past))
 
     def _unsmoothed(self, smooth: _Node, weight: float) -> _Node:
@@ -228,8 +230,8 @@ class Formula:
         return newest
 
     def _next_number(self) -> int:
-        self._past_count += 1
-        return self._past_count - 1
+        self.past_count += 1
+        return self.past_count - 1
 
     def _quantity(self, name: Name) -> _Node:
         self._names[name] = None

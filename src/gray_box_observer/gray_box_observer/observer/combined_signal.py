@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gray_box_observer.errors import SampleError
-from gray_box_observer.expressions.formula import Formula, Name, Past, Value
+from gray_box_observer.expressions.formula import LOST, Formula, Name, Past, Value
 from gray_box_observer.observer.input_alignment import Aligned, InputAlignment, stale_limits
 from gray_box_observer.observer.signal_reading import Reading, Signal
 from gray_box_observer.samples import Rejection
@@ -18,9 +18,8 @@ from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
 from gray_box_observer.settings.signal_sources import inputs_of
 
-LOST = 1.5
-"""Times the interval before it, from which one has lost a value: a moving average knows that one,
-and nobody else does."""
+LONGER = 1.25
+"""Times the interval before it, that one counts for at most: a slower rate is usual after a few."""
 
 OF_EVERY_MOTOR = ('',)
 """Stands for the names of an input that is one number."""
@@ -56,7 +55,7 @@ class _Before(NamedTuple):
         stamp_ns: of it.
         names: motors that it is of.
         value: of each.
-        passed_ns: since the value before it; 0: there was none.
+        passed_ns: the usual interval up to it; 0: there was no value before.
     """
 
     stamp_ns: int
@@ -187,7 +186,7 @@ class CombinedSignal:
             before = self._step(number, stamp_ns, names, value)
             if before is None:
                 is_new[0] = True
-                return value * 0.0
+                return value * math.nan
             return (value - before.value) / ((stamp_ns - before.stamp_ns) * 1e-9)
 
         def value_before(number: int, value: Value) -> Value:
@@ -196,7 +195,7 @@ class CombinedSignal:
             before = self._step(number, stamp_ns, names, value)
             if before is None or 0 < LOST * before.passed_ns < stamp_ns - before.stamp_ns:
                 is_new[0] = True
-                return value * 0.0
+                return value * math.nan
             return before.value
 
         return Past(rate, value_before)
@@ -213,8 +212,13 @@ class CombinedSignal:
         before = self._before.get(number)
         passed_ns = 0 if before is None else stamp_ns - before.stamp_ns
         has_before = before is not None and before.names == names and 0 < passed_ns <= self._gap_ns
-        self._before[number] = _Before(stamp_ns, names, value, passed_ns if has_before else 0)
-        return before if has_before else None
+        if before is None or not has_before:
+            self._before[number] = _Before(stamp_ns, names, value, 0)
+            return None
+        if before.passed_ns:  # behind one loss the next one shows too
+            passed_ns = min(passed_ns, round(LONGER * before.passed_ns))
+        self._before[number] = _Before(stamp_ns, names, value, passed_ns)
+        return before
 
 
 def _by_name(reading: Reading, names: tuple[str, ...]) -> Value:

@@ -309,12 +309,14 @@ def _verdicts(motor: str, now: Situation, assumption_names: Collection[str]) -> 
     if advice is not None:
         return advice
     fit = now.observer.fit(motor)
-    if fit.verdict is not FitVerdict.MISFIT and fit.has_advice:
+    if fit.verdict is FitVerdict.WARNING:
         return DiagnosticStatus.WARN, fit.sentence
     quantity = now.observer.configuration['torque.quantity']
     doubt = contradiction(now.observer.motors[motor].configuration, estimate, quantity)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
+    if fit.withheld is not None:
+        return DiagnosticStatus.WARN, fit.sentence
     change_count = now.traffic.motors[motor].changes
     if estimate.identified(0):
         change_note = ': the motor has changed and was followed' if change_count else ''
