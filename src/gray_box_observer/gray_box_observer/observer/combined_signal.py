@@ -181,39 +181,37 @@ class CombinedSignal:
         """Return what is known of the values before; where there is none ``is_new`` is set."""
 
         def rate(number: int, value: Value) -> Value:
-            if self._is_repeated(number, stamp_ns, names):
-                return value * math.nan  # pairing refuses it
-            before = self._step(number, stamp_ns, names, value)
+            before = self._step(number, stamp_ns, names, value, is_new)
             if before is None:
-                is_new[0] = True
                 return value * math.nan
             return (value - before.value) / ((stamp_ns - before.stamp_ns) * 1e-9)
 
         def value_before(number: int, value: Value) -> Value:
-            if self._is_repeated(number, stamp_ns, names):
+            before = self._step(number, stamp_ns, names, value, is_new)
+            if before is None:
                 return value * math.nan
-            before = self._step(number, stamp_ns, names, value)
-            if before is None or 0 < LOST * before.passed_ns < stamp_ns - before.stamp_ns:
+            if 0 < LOST * before.passed_ns < stamp_ns - before.stamp_ns:
                 is_new[0] = True
                 return value * math.nan
             return before.value
 
         return Past(rate, value_before)
 
-    def _is_repeated(self, number: int, stamp_ns: int, names: tuple[str, ...]) -> bool:
-        """Whether the same stamp has come again."""
-        before = self._before.get(number)
-        return before is not None and before.stamp_ns == stamp_ns and before.names == names
-
     def _step(
-        self, number: int, stamp_ns: int, names: tuple[str, ...], value: Value
+        self, number: int, stamp_ns: int, names: tuple[str, ...], value: Value, is_new: list[bool]
     ) -> _Before | None:
-        """Remember a value; return the one before, where it is of the same history."""
+        """Remember a value; return the one before, where it is of the same history.
+
+        Where there is none ``is_new`` is set, but not where a stamp comes again: what is made of
+        that is NaN, and pairing refuses it.
+        """
         before = self._before.get(number)
         passed_ns = 0 if before is None else stamp_ns - before.stamp_ns
-        has_before = before is not None and before.names == names and 0 < passed_ns <= self._gap_ns
-        if before is None or not has_before:
+        if before is None or before.names != names or not 0 <= passed_ns <= self._gap_ns:
             self._before[number] = _Before(stamp_ns, names, value, 0)
+            is_new[0] = True
+            return None
+        if passed_ns == 0:
             return None
         if before.passed_ns:  # behind one loss the next one shows too
             passed_ns = min(passed_ns, round(LONGER * before.passed_ns))
