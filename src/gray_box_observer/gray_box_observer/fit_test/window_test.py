@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import speed_readings
+from gray_box_observer.context_nodes import MeasuredSpeedUpdate, speed_readings
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -112,6 +112,8 @@ class MotorUnderTest:
         remembered_count: those of them that are learnt from.
         measured_rad_s: shape (n,): readings of the speed, where the samples hold that of the whole
             motor; else None.
+        is_lagging: whether a lag of the current sensor was found beside a measured speed, and the
+            samples are free of it: the search for a delay finds that.
     """
 
     estimate: Estimate
@@ -125,6 +127,7 @@ class MotorUnderTest:
     stored_count: int
     remembered_count: int
     measured_rad_s: Array | None
+    is_lagging: bool
 
     @classmethod
     def view(
@@ -161,6 +164,7 @@ class MotorUnderTest:
             stored_count,
             int(replay.remembered(one)[0]),
             speed_readings(nodes, count),
+            isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
         )
 
     def snapshot(self) -> MotorUnderTest:
@@ -354,7 +358,7 @@ class WindowTest:
         range_suspect = doubt_of_range(white_box.state(content[TORQUE, 0]), noise_a)
         if range_suspect is not None:
             suspects.append(range_suspect)
-        delay_suspect = self._delay_suspect(motor.delay)
+        delay_suspect = None if motor.is_lagging else self._delay_suspect(motor.delay)
         if suspects or delay_suspect is not None:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         return _Finding(analysis, judgement, suspects, delay_suspect, noise_a)

@@ -29,8 +29,8 @@ from gray_box_observer.context_nodes.measured_speed.output_update import OutputU
 from gray_box_observer.context_nodes.measured_speed.published_mechanics import PublishedMechanics
 from gray_box_observer.context_nodes.measured_speed.speed_comparison import SpeedComparison
 from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
+    as_of_motor,
     remembering,
-    with_motor_speed,
 )
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
@@ -161,6 +161,11 @@ class MeasuredSpeedUpdate:
         return self._is_asked
 
     @property
+    def current_lag_s(self) -> float:
+        """Lag of the current sensor in s, where that is believed; 0: it does not lag."""
+        return self._outputs.current_lag_s if self._is_noisy else 0.0
+
+    @property
     def _is_unexplained(self) -> bool:
         """Whether the fit of both outputs does not explain the newest samples."""
         return self._failures > 0 or self._outputs.is_in_doubt
@@ -217,6 +222,7 @@ class MeasuredSpeedUpdate:
         counts['speed is noisy or late'] = int(self._is_noisy)
         counts['evidence for that, log-likelihood'] = int(min(self._comparison.evidence, 1e9))
         counts['lag of the speed, us'] = self._lag_us()
+        counts['lag of the current, us'] = round(1e6 * self.current_lag_s)
         return counts
 
     def _lag_us(self) -> int:
@@ -384,17 +390,19 @@ class MeasuredSpeedUpdate:
             self.published_mechanics.note_failure()
             samples = samples[:, -fit.window.count :]  # the newest alone may have been fitted
         is_late = self._comparison.is_late(fit)
-        if not (self._is_noisy or fit.shows_noise or is_late):
+        is_lagging = fit.current_lag()[0] > 0.0
+        if not (self._is_noisy or fit.shows_noise or is_late or is_lagging):
             return False
         self._comparison.compare(samples, fit, is_noisy=self._is_noisy)
         if self._comparison.is_contradicted(samples, fit):
             self._is_noisy = False
             return False
-        if not (self._is_noisy or is_late or (fit.shows_noise and self._comparison.is_clear(fit))):
+        is_likelier = (fit.shows_noise or is_lagging) and self._comparison.is_clear(fit)
+        if not (self._is_noisy or is_late or is_likelier):
             return False
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
-        samples = with_motor_speed(samples, fit)
+        samples = as_of_motor(samples, fit)
         self._samples = remembering(samples, place, self.present_since(motor=0))
         self._shares = self._measured_shares(samples, fit)
         return True

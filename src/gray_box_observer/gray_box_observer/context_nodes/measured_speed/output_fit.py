@@ -2,7 +2,7 @@
 
 What one ampere of the current's residual counts for in speed is found by fitting again: the noise
 of either output is what its own residual leaves. Where a constant load does not explain both
-outputs, one that walks at random is tried.
+outputs, a current sensor that lags is tried, then a load that walks at random.
 """
 
 from __future__ import annotations
@@ -20,7 +20,12 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
     difference_noise,
 )
-from gray_box_observer.context_nodes.rotor.history_unknowns import LAG, SpeedOutput, Unknowns
+from gray_box_observer.context_nodes.rotor.history_unknowns import (
+    LAG,
+    CurrentSensor,
+    SpeedOutput,
+    Unknowns,
+)
 from gray_box_observer.context_nodes.rotor.load_walk import (
     ALIKE,
     WALKS,
@@ -66,6 +71,25 @@ SEEN = 1.2
 
 HOPELESS = 4.0
 """The same from which another unit of the outputs will not help."""
+
+LEAD, LEAD_STDS = 0.1, 5.0
+"""Sample intervals, and standard deviations, by which the speed comes before the current where the
+sensor of the current lags: no speed is known before it is measured."""
+
+SAME_MEMORY = 0.03
+"""Difference of two memories of the noise that are the same."""
+
+CHANCE = 4.0
+"""Correlation that white noise may have by chance, times the root of the readings of both outputs."""
+
+LONGEST_MEMORY = 0.95
+"""Longest memory that is believed to be that of noise."""
+
+SHARES = (0.7, 0.3)
+"""Shares of what L/R is without a lag that are the winding's where a search begins."""
+
+DELAYS = (0.8, 1.0)
+"""Delays of the voltage that a lag of the current is compared with, as shares of it."""
 
 IDLE = 0.01
 """Squared distance, in standard deviations, of two ends that are the same."""
@@ -139,6 +163,33 @@ class OutputFit:
         return int(self.fit.logarithms.size + self.fit.starts.size)
 
     @property
+    def memory(self) -> float:
+        """Correlation of the current's noise at two samples in a row; 0 where there is none."""
+        product = power = 0.0
+        histories = zip(self.window.histories, self.fit.runs.read_a, strict=True)
+        most_a = OUTLIER * MAD_TO_STD
+        for history, read_a in histories:
+            off_a = history.current_a - read_a
+            off_a = np.clip(off_a, *(sign * most_a * float(median(np.abs(off_a))) for sign in (-1.0, 1.0)))
+            product += float(off_a[1:] @ off_a[:-1])
+            power += float(off_a @ off_a)
+        memory = product / power if power > 0.0 else 0.0
+        chance = CHANCE / np.sqrt(self.fit.runs.residual_a.size)
+        return min(memory, LONGEST_MEMORY) if memory > chance else 0.0
+
+    @property
+    def cost(self) -> float:
+        """Twice what the readings are less likely by, but for a constant."""
+        readings = self.fit.runs.residual_a.size
+        return float(self.fit.chi_square + 2.0 * readings * np.log(self.fit.noise_a))
+
+    @property
+    def speed_leads(self) -> bool:
+        """Whether the speed comes before the current, which then is the one that is late."""
+        lag_s, std_s = self.lag()
+        return lag_s < -max(LEAD * self.window.interval_s, LEAD_STDS * std_s)
+
+    @property
     def shows_noise(self) -> bool:
         """Whether the speed has more noise than is always believed."""
         return self.noise.speed_rad_s > SEEN * self.floor.least_rad_s
@@ -152,15 +203,30 @@ class OutputFit:
 
     def lag(self) -> tuple[float, float]:
         """Return the lag of the speed in the longest history in s, and its standard deviation."""
+        return self._unknown(LAG)
+
+    def current_lag(self) -> tuple[float, float]:
+        """Return the lag of the current in the longest history in s, and its standard deviation.
+
+        Both are 0 where the sensor does not lag.
+        """
+        unknowns = self.window.unknowns
+        if unknowns.current_sensor is None:
+            return 0.0, 0.0
+        lag_s, std_s = self._unknown(unknowns.current_lag)
+        return max(lag_s, 0.0), std_s
+
+    def _unknown(self, place: int) -> tuple[float, float]:
+        """Return an unknown of the longest history, and its standard deviation."""
         sizes = [history.current_a.size for history in self.window.histories]
         row = int(np.argmax(sizes))
         of_history = self.fit.runs.derivatives[row]
-        by_lag = of_history[:, LAG]
-        others = np.delete(of_history, LAG, axis=1)
+        by_lag = of_history[:, place]
+        others = np.delete(of_history, place, axis=1)
         others /= np.linalg.norm(others, axis=0) + 1e-300
         distinct = by_lag - others @ np.linalg.lstsq(others, by_lag, rcond=1e-12)[0]
         size = float(np.linalg.norm(distinct)) + 1e-300
-        return float(self.fit.starts[row, LAG]), self.fit.noise_a / size
+        return float(self.fit.starts[row, place]), self.fit.noise_a / size
 
 
 def fit_outputs(
@@ -169,6 +235,8 @@ def fit_outputs(
     prior: LogPrior,
     starts: Sequence[Array],
     walk: float = 0.0,
+    *,
+    stops_at_lead: bool = True,
 ) -> Pieces[OutputFit | None]:
     """Fit the context nodes to current and speed; None where no start can be run.
 
@@ -178,6 +246,8 @@ def fit_outputs(
         prior: decides what the samples leave open.
         starts: shape (parameter,) each: where to search from.
         walk: variance that the load has gained in a second before; 0: it was constant.
+        stops_at_lead: whether to end as soon as the speed comes before the current, as it does
+            where the sensor of the current lags (:func:`fit_lagging`).
     """
     floor = _floor(window)
     if walk > 0.0:
@@ -186,8 +256,12 @@ def fit_outputs(
             return walk_fit
     linear = speed_start(white_box, window, starts[0])
     every_start = [*starts] if linear is None else [*starts, linear]
-    steady = yield from _settled(white_box, window, prior, every_start, floor)
+    steady = yield from _settled(
+        white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead
+    )
     if linear is None or steady is None or steady.explains:
+        return steady
+    if stops_at_lead and steady.speed_leads:
         return steady
     walk_fit = yield from _loaded(
         white_box, window, prior, linear, floor, first_walk(white_box, window, linear)
@@ -204,12 +278,21 @@ class FitBefore:
         walk: variance that the load gains in a second; 0 where it is constant.
         unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
         has_rivals: whether other ends were as likely.
+        current_lag_s: of the current sensor; 0 where it does not lag.
     """
 
     theta: Array
     walk: float
     unit_a_s: float
     has_rivals: bool
+    current_lag_s: float = 0.0
+
+    @classmethod
+    def from_fit(cls, fit: OutputFit) -> FitBefore:
+        """Return what a fit of a part of the window has left."""
+        has_rivals = bool(fit.fit.spread.any())
+        lag_s = fit.current_lag()[0]
+        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, lag_s)
 
 
 def fit_outputs_again(
@@ -228,7 +311,14 @@ def fit_outputs_again(
         walk_fit = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
-    return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
+    sensor = None
+    if before.current_lag_s > 0.0:
+        sensor = CurrentSensor(before.current_lag_s + _winding_s(white_box, before.theta))
+    return (
+        yield from _settled(
+            white_box, window, prior, [before.theta], floor, last_fit=before, sensor=sensor
+        )
+    )
 
 
 def _settled(
@@ -238,23 +328,41 @@ def _settled(
     starts: Sequence[Array],
     floor: OutputNoise,
     last_fit: FitBefore | None = None,
+    sensor: CurrentSensor | None = None,
+    *,
+    stops_at_lead: bool = False,
 ) -> Pieces[OutputFit | None]:
-    """Fit with a constant load until the noise of either output agrees with its residual."""
+    """Fit with a constant load until the noise of either output agrees with its residual.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: samples with speed.
+        prior: decides what the samples leave open.
+        starts: shape (parameter,) each: where to search from.
+        floor: the least noise that the readings show.
+        last_fit: of the window before; None: there was none.
+        sensor: of the current, where it lags.
+        stops_at_lead: whether to end as soon as the speed comes before the current.
+    """
     result = None
     is_known = last_fit is not None and last_fit.unit_a_s > 0.0
     output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
     tries_others = last_fit is None or last_fit.has_rivals
     for _ in range(ROUNDS):
-        window = replace(window, unknowns=Unknowns(output))
+        window = replace(window, unknowns=Unknowns(output, current_sensor=sensor))
         fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
         if fit is None:
             return result
         before = result
         result = _result(fit, window, floor)
-        if not result.is_within(HOPELESS):
+        if not result.is_within(HOPELESS) or (stops_at_lead and result.speed_leads):
             return result
         ratio = result.noise.unit_a_s / output.unit_a_s
         is_settled = 1.0 / AGREES < ratio < AGREES
+        if sensor is not None:
+            memory = result.memory
+            is_settled &= abs(memory - sensor.memory) < SAME_MEMORY
+            sensor = replace(sensor, memory=memory)
         if is_settled and (is_known or (before is not None and _is_near(before.fit, fit))):
             break
         if is_settled:
@@ -263,6 +371,54 @@ def _settled(
         starts = [fit.theta]
         tries_others = bool(fit.spread.any())  # rivals need another unit too
     return result
+
+
+def fit_lagging(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, plain: OutputFit
+) -> Pieces[OutputFit | None]:
+    """Fit with a current sensor that lags; None where a voltage that is late explains as much.
+
+    The winding's L/R and the lag are two of a kind, so that the search begins with either as the
+    longer one. Without the lag L/R holds both. With the wrong one the speed still comes before the
+    current.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: samples with speed.
+        prior: decides what the samples leave open.
+        plain: the fit without a lag, or with the wrong one.
+    """
+    floor = _floor(window)
+    place = white_box.context_nodes.index('inductance')
+    winding_s = _winding_s(white_box, plain.fit.theta)
+    sensor = CurrentSensor(winding_s + plain.current_lag()[0])
+    ends = []
+    for share in SHARES:
+        theta = plain.fit.theta.copy()
+        theta[place] *= share * sensor.sum_s / winding_s
+        before = FitBefore(theta, 0.0, plain.noise.unit_a_s, has_rivals=False)
+        end = yield from _settled(white_box, window, prior, [theta], floor, before, sensor)
+        if end is not None:
+            ends.append(end)
+    if not ends:
+        return None
+    best = min(ends, key=lambda end: (end.speed_leads, end.cost))
+    if not best.explains:
+        return best
+    for share in DELAYS:
+        late_window = window.delayed(share * best.current_lag()[0])
+        before = FitBefore(best.fit.theta, 0.0, best.noise.unit_a_s, has_rivals=False)
+        start = [best.fit.theta]
+        other = yield from _settled(white_box, late_window, prior, start, floor, before)
+        if other is not None and other.explains and not other.speed_leads:
+            return None
+    return best
+
+
+def _winding_s(white_box: MotorWhiteBox, theta: Array) -> float:
+    """Return L/R in s."""
+    values = white_box.values(theta)
+    return float(values['inductance'] / values['resistance'])
 
 
 def _loaded(

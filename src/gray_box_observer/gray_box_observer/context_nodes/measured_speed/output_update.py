@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
     FitBefore,
     OutputFit,
+    fit_lagging,
     fit_outputs,
     fit_outputs_again,
 )
@@ -29,6 +30,9 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+BEHIND_LAG = 2e-3
+"""Share of every parameter that is open behind a lag: a filter is never quite of first order."""
+
 MOST_WORK = 3 * SAVED
 """Work of a search from anywhere: what explains a window is found with less. Of the motors that
 nothing explains it is given up, and more samples are waited for."""
@@ -41,6 +45,7 @@ class OutputLearner(WindowLearner):
         output_fit: of the newest window; None before the first fit, and where none was found.
         walk: of the load.
         unit_a_s: noise of the current over that of the speed; 0: not known.
+        current_lag_s: of the current sensor; 0: it does not lag, or was never fitted.
     """
 
     speed_measured = True
@@ -54,7 +59,7 @@ class OutputLearner(WindowLearner):
     ) -> None:
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self.output_fit: OutputFit | None = None
-        self.walk = self.unit_a_s = 0.0
+        self.walk = self.unit_a_s = self.current_lag_s = 0.0
         self._newest_fit: OutputFit | None = None  # of the fit under way
         self._tried_walk = 0.0
 
@@ -69,6 +74,24 @@ class OutputLearner(WindowLearner):
         self.walk = self._tried_walk
         if self._newest_fit is not None:
             self.unit_a_s = self._newest_fit.noise.unit_a_s
+            self.current_lag_s = self._newest_fit.current_lag()[0]
+
+    def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
+        """Fit a window; tell whether a fit was found.
+
+        Behind a sensor that lags the inductance is open: which of two times is the winding's does
+        not show, nor a part of the lag that is a delay.
+        """
+        has_fit = yield from super().learn(window, is_full=is_full)
+        fit = self._newest_fit
+        lag_s = 0.0 if fit is None else fit.current_lag()[0]
+        if has_fit and lag_s > 0.0:
+            values = self._white_box.values(self.theta)
+            place = self._white_box.context_nodes.index('inductance')
+            share = lag_s * values['resistance'] / values['inductance']
+            self.covariance[place, place] += share**2
+            self.covariance += BEHIND_LAG**2 * np.eye(self.theta.size)
+        return has_fit
 
     def window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories with their speed."""
@@ -77,14 +100,47 @@ class OutputLearner(WindowLearner):
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
-        search = fit_outputs(self._white_box, window, prior, starts, self._tried_walk)
-        return self._noted((yield from bounded(search, MOST_WORK)))
+        box = self._white_box
+        known = self._newest_fit
+        if known is not None and known.current_lag()[0] > 0.0:  # of a part of these samples
+            again = fit_outputs_again(box, window, prior, FitBefore.from_fit(known))
+            fit = yield from bounded(again, MOST_WORK)
+            if fit is not None and fit.explains and not fit.speed_leads:
+                return self._noted(fit)
+        search = fit_outputs(box, window, prior, starts, self._tried_walk)
+        fit = yield from bounded(search, MOST_WORK)
+        if fit is not None and fit.speed_leads:
+            lagging = yield from self._lagging(window, prior, fit)
+            if lagging is not None:
+                return self._noted(lagging)
+            search = fit_outputs(
+                box, window, prior, [fit.fit.theta], self._tried_walk, stops_at_lead=False
+            )
+            fit = yield from bounded(search, MOST_WORK)
+        return self._noted(fit)
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
-        before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals)
-        return self._noted(
-            (yield from fit_outputs_again(self._white_box, window, self._prior(), before))
+        before = FitBefore(
+            self.theta, self.walk, self.unit_a_s, self.has_rivals, self.current_lag_s
         )
+        prior = self._prior()
+        fit = yield from fit_outputs_again(self._white_box, window, prior, before)
+        if fit is not None and fit.speed_leads:
+            lagging = yield from self._lagging(window, prior, fit)
+            fit = fit if lagging is None else lagging
+        return self._noted(fit)
+
+    def _lagging(self, window: Window, prior: LogPrior, lead: OutputFit) -> Pieces[OutputFit | None]:
+        """Fit a window with a current sensor that lags; None where that does not explain it.
+
+        Args:
+            window: the samples.
+            prior: decides what they leave open.
+            lead: a fit whose speed comes before the current.
+        """
+        search = fit_lagging(self._white_box, window, prior, lead)
+        fit = yield from bounded(search, MOST_WORK)
+        return fit if fit is not None and fit.explains and not fit.speed_leads else None
 
     def _noted(self, fit: OutputFit | None) -> Fit | None:
         self._newest_fit = fit
@@ -125,6 +181,11 @@ class OutputUpdate(RotorUpdate):
     def output_fit(self) -> OutputFit | None:
         """Fit of the newest window; None before the first one, and where none was found."""
         return self._learner.output_fit
+
+    @property
+    def current_lag_s(self) -> float:
+        """Lag of the current sensor in s; 0 where none was found."""
+        return self._learner.current_lag_s
 
     @property
     def is_in_doubt(self) -> bool:
@@ -174,17 +235,24 @@ class OutputUpdate(RotorUpdate):
         return plain, arrays | {
             'walk': np.array([self._learner.walk]),
             'unit': np.array([self._learner.unit_a_s]),
+            'current_lag': np.array([self._learner.current_lag_s]),
         }
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
         check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
         self._learner.walk = float(arrays['walk'][0])
-        self._learner.unit_a_s = 0.0
-        if 'unit' in arrays:  # not in files of releases that did not remember it
-            check_arrays(arrays, {'unit': ArrayRule((1,), 0.0)})
-            self._learner.unit_a_s = float(arrays['unit'][0])
+        self._learner.unit_a_s = _number(arrays, 'unit')
+        self._learner.current_lag_s = _number(arrays, 'current_lag')
         super().restore(plain, arrays, motor)
         self._learner.output_fit = None
         if self.replay.stored(0):
             self._speed = self.replay.newest(1)[SPEED, :, 0].copy()
+
+
+def _number(arrays: dict[str, Array], name: str) -> float:
+    """Return a number of a state; 0 where it is of a release that did not remember it."""
+    if name not in arrays:
+        return 0.0
+    check_arrays(arrays, {name: ArrayRule((1,), 0.0)})
+    return float(arrays[name][0])

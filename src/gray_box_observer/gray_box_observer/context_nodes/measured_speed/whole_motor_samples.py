@@ -1,15 +1,17 @@
-"""A window's samples with the speed of the whole motor in place of the measured one."""
+"""A window's samples as the whole motor has them: its speed, and its current free of a lag."""
 
 from __future__ import annotations
 
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
-from gray_box_observer.samples.replay_buffer import SPEED, ReplayBuffer
+from gray_box_observer.samples.replay_buffer import SPEED, TORQUE, ReplayBuffer
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 
 
-def with_motor_speed(samples: Array, fit: OutputFit) -> Array:
-    """Return samples with the speed that their fit gives, free of noise and lag.
+def as_of_motor(samples: Array, fit: OutputFit) -> Array:
+    """Return samples with the speed that their fit gives, and a current that does not lag.
+
+    The current keeps its noise, which the fit test looks at.
 
     Args:
         samples: shape (signal, n): those of the fit.
@@ -19,9 +21,19 @@ def with_motor_speed(samples: Array, fit: OutputFit) -> Array:
         Shape (signal, n); a history too short to be fitted keeps its measured speed.
     """
     result = samples.copy()
-    for history, path in zip(fit.window.histories, fit.fit.runs.runs, strict=True):
-        speed = path.states[:, State.SPEED]
-        result[SPEED, history.place : history.place + speed.size] = speed
+    runs = fit.fit.runs
+    begin = 0
+    residual_a = runs.of_output(State.CURRENT)
+    is_lagging = fit.window.unknowns.current_sensor is not None
+    for history, path in zip(fit.window.histories, runs.runs, strict=True):
+        places = slice(history.place, history.place + history.current_a.size)
+        result[SPEED, places] = path.states[:, State.SPEED]
+        if is_lagging:
+            noise_a = residual_a[begin : begin + history.current_a.size]
+            result[TORQUE, places] = runs.torque_constant * (
+                path.states[:, State.CURRENT] + noise_a
+            )
+        begin += history.current_a.size
     return result
 
 

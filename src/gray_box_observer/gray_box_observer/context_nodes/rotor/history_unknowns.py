@@ -1,7 +1,8 @@
 """What is free in every signal history beside the parameters: its first states, and more.
 
 Where the measured speed is an output of the motor, its lag is free. So is a load that varies: it
-takes a part of the acceleration that runs straight between knots and walks at random over them.
+takes a part of the acceleration that runs straight between knots and walks at random over them. A
+current sensor may lag, too.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, by_knot
 from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 
 LAG = STATES
 """Place of the speed's lag in s among the unknowns of a history whose speed is an output."""
 
 LATEST = 5.0
-"""Standard deviation of the speed's lag before anything is known of it, in sample intervals."""
+"""Standard deviation of a sensor's lag before anything is known of it, in sample intervals."""
 
 
 @dataclass(frozen=True)
@@ -60,16 +62,47 @@ class LoadWalk:
 
 
 @dataclass(frozen=True)
+class CurrentSensor:
+    """A current sensor that lags by first order.
+
+    Attributes:
+        sum_s: lag and L/R together in s, about: where a search begins the lag is what L/R leaves.
+        memory: correlation of its noise at two samples in a row: noise before a filter passes it,
+            too.
+    """
+
+    sum_s: float
+    memory: float = 0.0
+
+    def whitened(self, signal: Array) -> Array:
+        """Return what a signal has beyond the memory of its noise, of its shape.
+
+        Args:
+            signal: shape (k + 1, ...): readings of a history, or their derivatives.
+        """
+        if self.memory == 0.0:
+            return signal
+        result = signal.copy()
+        result[1:] -= self.memory * signal[:-1]
+        result[0] *= np.sqrt(1.0 - self.memory**2)
+        return result
+
+
+@dataclass(frozen=True)
 class Unknowns:
-    """What is free in every history of a window: first states, lag and knots, in this order.
+    """What is free in every history of a window, in the order of these.
+
+    First states, the speed's lag, knots of the load, lag and first reading of the current sensor.
 
     Attributes:
         speed_output: how the measured speed is fitted; None: it is not looked at.
         load: that varies; None: none does.
+        current_sensor: that lags; None: it does not.
     """
 
     speed_output: SpeedOutput | None = None
     load: LoadWalk | None = None
+    current_sensor: CurrentSensor | None = None
 
     @property
     def loads(self) -> slice:
@@ -78,9 +111,14 @@ class Unknowns:
         return slice(begin, begin + (0 if self.load is None else self.load.knots))
 
     @property
+    def current_lag(self) -> int:
+        """Place of the current sensor's lag in s; that of its first reading in A is the next."""
+        return int(self.loads.stop)
+
+    @property
     def count(self) -> int:
         """How many there are."""
-        return int(self.loads.stop)
+        return self.current_lag + (0 if self.current_sensor is None else 2)
 
     def precision(self, start_std: Array, interval_s: Array) -> Array:
         """Return what is known of them beforehand, shape (unknown, unknown).
@@ -95,6 +133,10 @@ class Unknowns:
             result[LAG, LAG] = (LATEST * float(median(interval_s))) ** -2.0
         if self.load is not None:
             result[self.loads, self.loads] = self.load.precision(float(interval_s.sum()))
+        if self.current_sensor is not None:
+            place = self.current_lag
+            result[place, place] = (LATEST * float(median(interval_s))) ** -2.0
+            result[place + 1, place + 1] = start_std[State.CURRENT] ** -2.0
         return result
 
 

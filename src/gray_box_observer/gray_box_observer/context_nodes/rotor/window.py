@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     load_over_intervals,
     load_slopes,
 )
+from gray_box_observer.context_nodes.rotor.lagging_current import LaggingCurrent
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -45,6 +46,12 @@ LEAST_REACH_V = 1.0
 WORK_A_RUN, STEPS_A_WORK = 1000, 4
 """Work of a run, however few its samples are, and steps of the integration that are one piece of
 work; a reading is another one."""
+
+WORK_A_LAG = 6
+"""Work of a reading of a current sensor that lags, with its derivatives."""
+
+LEAST_LAG = 0.1
+"""Share of lag and L/R together that a search begins with for the lag, at least."""
 
 NOTHING_MORE = Unknowns()
 """Where first states alone are free."""
@@ -193,11 +200,28 @@ class Window:
         )
         return Window((part,), self.unknowns, keep + behind)
 
+    def delayed(self, delay_s: float) -> Window:
+        """Return the samples with voltages that act later by a delay."""
+        late = [
+            replace(one, voltage_v=_delayed(one.voltage_v, one.interval_s, delay_s))
+            for one in self.histories
+        ]
+        return replace(self, histories=tuple(late))
+
     def limits(self, back_emf_constant: float) -> Array:
         """Return the states at which a run is given up, shape (state,)."""
         largest = float(np.abs(self.current_a).max(initial=0.0)) + 1e-9
         fastest = (self.largest_voltage_v + LEAST_REACH_V) / back_emf_constant
         return np.array([REACH[0] * largest, REACH[1] * fastest])
+
+
+def _delayed(voltage_v: Array, interval_s: Array, delay_s: float) -> Array:
+    """Return the means over every interval of a voltage that acts later, shape (k,)."""
+    time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
+    volt_seconds = np.concatenate([[0.0], np.cumsum(voltage_v * interval_s)])
+    before = time_s - delay_s
+    late = np.interp(before, time_s, volt_seconds) + voltage_v[0] * np.minimum(before, 0.0)
+    return np.asarray(np.diff(late) / interval_s, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,21 +235,26 @@ class FreeRuns:
         window: the samples.
         runs: one a history.
         starts: shape (history, unknown): where each begins.
+        p: shape (coordinate,): coordinates of the motor.
         by_logarithm: shape (coordinate, parameter): derivatives of the coordinates by the
             logarithms of the parameters.
+        torque_constant: Kt in N m/A.
         is_bounded: whether all of them stayed within their limits; nothing else is valid if not.
     """
 
     window: Window
     runs: tuple[Run, ...]
     starts: Array
+    p: Array
     by_logarithm: Array
+    torque_constant: float
     is_bounded: bool
 
     @property
     def work(self) -> int:
         """Work of the runs and of what is made of them, see :mod:`pieces`."""
         outputs = 1 if self.window.speed_output is None else len(State)
+        outputs += 0 if self.window.unknowns.current_sensor is None else WORK_A_LAG
         readings = outputs * sum(int(path.states.shape[0]) for path in self.runs)
         return WORK_A_RUN + readings + sum(path.steps for path in self.runs) // STEPS_A_WORK
 
@@ -246,8 +275,35 @@ class FreeRuns:
             for history, start in zip(self.window.histories, self.starts, strict=True)
         )
 
-    def _readings(self) -> Iterator[tuple[History, Run, LateReadings | None]]:
-        return zip(self.window.histories, self.runs, self._late, strict=True)
+    @cached_property
+    def _lagging(self) -> tuple[tuple[LaggingCurrent, Array] | None, ...]:
+        """The current sensor where it lags, with its readings, one a history."""
+        unknowns = self.window.unknowns
+        if unknowns.current_sensor is None:
+            return (None,) * len(self.runs)
+        place = unknowns.current_lag
+        sensors = [
+            LaggingCurrent(
+                path.states,
+                history.interval_s,
+                float(start[place]),
+                float(start[place + 1]),
+                self.p,
+                self.torque_constant,
+            )
+            for history, path, start in zip(
+                self.window.histories, self.runs, self.starts, strict=True
+            )
+        ]
+        return tuple((sensor, sensor.readings()) for sensor in sensors)
+
+    @property
+    def read_a(self) -> tuple[Array, ...]:
+        """Currents that the sensor reads but for its noise, shape (k + 1,) each, one a history."""
+        return tuple(
+            path.states[:, State.CURRENT] if lagging is None else lagging[1]
+            for path, lagging in zip(self.runs, self._lagging, strict=True)
+        )
 
     @cached_property
     def residual_a(self) -> Array:
@@ -256,11 +312,12 @@ class FreeRuns:
         Where the speed is an output, that of the speed follows in every history, in the unit of
         the current's noise.
         """
+        parts = zip(self.window.histories, self.runs, self._late, self._lagging, strict=True)
         return np.concatenate(
             [
                 residual
-                for history, path, late in self._readings()
-                for residual in _residuals(history, path, late, self.window.speed_output)
+                for history, path, late, lagging in parts
+                for residual in _residuals(history, path, late, lagging, self.window.unknowns)
             ]
         )
 
@@ -271,9 +328,10 @@ class FreeRuns:
         Shape (reading, unknown + parameter) each: by the unknowns of the history, first states
         before all, then by the logarithms of the parameters.
         """
+        parts = zip(self.runs, self._late, self._lagging, self._loads, strict=True)
         return tuple(
-            _derivatives(path, late, knots, self.by_logarithm, self.window)
-            for (_, path, late), knots in zip(self._readings(), self._loads, strict=True)
+            _derivatives(path, late, lagging, knots, self.by_logarithm, self.window)
+            for path, late, lagging, knots in parts
         )
 
     @property
@@ -339,15 +397,26 @@ def free_runs(
         )  # fmt: skip
         runs.append(result)
         if not result.is_bounded:
-            return FreeRuns(window, tuple(runs), starts, by_logarithm, is_bounded=False)
-    return FreeRuns(window, tuple(runs), starts, by_logarithm, is_bounded=True)
+            break
+    is_bounded = runs[-1].is_bounded if runs else True
+    return FreeRuns(
+        window, tuple(runs), starts, p, by_logarithm, torque_constant, is_bounded=is_bounded
+    )
 
 
 def _residuals(
-    history: History, path: Run, late: LateReadings | None, output: SpeedOutput | None
+    history: History,
+    path: Run,
+    late: LateReadings | None,
+    lagging: tuple[LaggingCurrent, Array] | None,
+    unknowns: Unknowns,
 ) -> tuple[Array, ...]:
     """Return what a run leaves of a history's readings, one array an output."""
-    current = history.current_a - path.states[:, State.CURRENT]
+    output = unknowns.speed_output
+    read_a = path.states[:, State.CURRENT] if lagging is None else lagging[1]
+    current = history.current_a - read_a
+    if unknowns.current_sensor is not None:
+        current = unknowns.current_sensor.whitened(current)
     if output is None or late is None or history.speed_rad_s is None:
         return (current,)
     off = history.speed_rad_s - late.of_signal(path.states[:, State.SPEED])
@@ -357,6 +426,7 @@ def _residuals(
 def _derivatives(
     path: Run,
     late: LateReadings | None,
+    lagging: tuple[LaggingCurrent, Array] | None,
     load_by_knot: Array | None,
     by_logarithm: Array,
     window: Window,
@@ -373,6 +443,16 @@ def _derivatives(
         result[:, :, window.unknowns.loads] = load_by_knot[:, :outputs].swapaxes(0, 1)
     if output is None or late is None:
         return result.reshape(count, -1)
+    if lagging is not None:
+        sensor, readings_a = lagging
+        place = window.unknowns.current_lag
+        by_state = np.delete(result, [place, place + 1], axis=2).swapaxes(0, 1)
+        by_reading = sensor.derivatives(readings_a, by_state, by_logarithm)
+        result[State.CURRENT, :, :place] = by_reading[:, :place]
+        result[State.CURRENT, :, place : place + 2] = by_reading[:, -2:]
+        result[State.CURRENT, :, place + 2 :] = by_reading[:, place:-2]
+    if window.unknowns.current_sensor is not None:
+        result[State.CURRENT] = window.unknowns.current_sensor.whitened(result[State.CURRENT])
     speed = late.of_signal(result[State.SPEED])
     speed[:, LAG] = late.by_lag(path.states[:, State.SPEED])
     speed *= (late.is_covered * output.unit_a_s)[:, None]
@@ -439,4 +519,10 @@ def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Ar
         starts[row, State.SPEED] = np.clip(emf, -limit, limit) / values['back_emf_constant']
         if history.speed_rad_s is not None:
             starts[row, State.SPEED] = median(history.speed_rad_s[few])
+    sensor = window.unknowns.current_sensor
+    if sensor is not None:
+        place = window.unknowns.current_lag
+        winding_s = values['inductance'] / values['resistance']
+        starts[:, place] = max(sensor.sum_s - winding_s, LEAST_LAG * sensor.sum_s)
+        starts[:, place + 1] = starts[:, State.CURRENT]
     return starts
