@@ -25,16 +25,19 @@ QUICK_S = 3.0
 RATES_HZ = (200.0, 500.0)
 SPEED_NOISE = 0.01
 
-FILTERS: dict[str, tuple[bool, float, float]] = {
-    'none': (False, 1.0, 0.0),
-    'mean of the interval': (True, 1.0, 0.0),
-    'analogue, half an interval': (False, 1.0, 0.5),
-    'moving average, newest weighs 0.85': (False, 0.85, 0.0),
-    'moving average, newest weighs 0.7': (False, 0.7, 0.0),
-    'moving average, newest weighs 0.5': (False, 0.5, 0.0),
-    'moving average, newest weighs 0.3': (False, 0.3, 0.0),
+FILTERS: dict[str, tuple[bool, float, float, bool]] = {
+    'none': (False, 1.0, 0.0, False),
+    'mean of the interval': (True, 1.0, 0.0, False),
+    'analogue, half an interval': (False, 1.0, 0.5, False),
+    'analogue, 0.6 intervals, of noise too': (False, 1.0, 0.6, True),
+    'analogue, 1.5 intervals, of noise too': (False, 1.0, 1.5, True),
+    'moving average, newest weighs 0.85': (False, 0.85, 0.0, False),
+    'moving average, newest weighs 0.7': (False, 0.7, 0.0, False),
+    'moving average, newest weighs 0.5': (False, 0.5, 0.0, False),
+    'moving average, newest weighs 0.3': (False, 0.3, 0.0, False),
 }
-"""Whether readings are means, weight of the newest one, and analogue time constant in intervals."""
+"""Whether readings are means, weight of the newest one, analogue time constant in intervals, and
+whether the noise passes the analogue filter, too."""
 
 
 def cases(duration_s: float) -> dict[tuple[str, str], list[FilterCase]]:

@@ -33,6 +33,8 @@ class FilterCase:
         weight: of the newest reading in the moving average that a driver publishes, its noise in
             it; 1: it publishes the readings.
         low_pass: time constant of an analogue filter before the reading, in sample intervals.
+        filters_noise: whether the noise passes that filter, too: a driver filters what it reads in
+            a faster loop than it publishes.
         rate_hz: of the samples.
         speed_noise: of the measured speed, as a share of its spread; None: it is not measured.
         duration_s: of the record.
@@ -42,6 +44,7 @@ class FilterCase:
     averages: bool
     weight: float
     low_pass: float
+    filters_noise: bool
     rate_hz: float
     speed_noise: float | None
     duration_s: float
@@ -107,8 +110,25 @@ def _measured(
         course = moving_average(course, 1.0 - math.exp(-1.0 / (steps * case.low_pass)))
     read = course.reshape(-1, steps)
     current = np.array([0.0, *(read.mean(axis=1) if case.averages else read[:, -1])])
-    current += case.noise * current.std() * rng.normal(size=current.size)
+    noise = rng.normal(size=current.size)
+    if case.filters_noise:
+        noise = filtered_noise(noise, math.exp(-1.0 / case.low_pass))
+    current += case.noise * current.std() * noise
     return moving_average(current, case.weight), np.array([0.0, *speeds[steps - 1 :: steps]])
+
+
+def filtered_noise(white: FloatArray, memory: float) -> FloatArray:
+    """Return noise as a filter leaves it, shape (n,), whose size stays.
+
+    Args:
+        white: shape (n,): as it was before, at the samples.
+        memory: what is left of it after a sample interval.
+    """
+    noise = white.copy()
+    fresh = math.sqrt(1.0 - memory**2)
+    for place in range(1, noise.size):
+        noise[place] = memory * noise[place - 1] + fresh * white[place]
+    return noise
 
 
 def moving_average(values: FloatArray, weight: float) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate
 from gray_box_observer.context_nodes.derived_constants import (
     DerivedConstant,
     derived_constants,
@@ -20,7 +20,7 @@ from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
-from gray_box_observer.settings.motor_configuration import MotorConfiguration
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -103,18 +103,37 @@ class MotorView:
     @property
     def added_effects(self) -> tuple[str, ...]:
         """Effects of driver, sensor and load that the data have added."""
-        return self.observer.form_choice.kind.effects
+        effects = self.observer.form_choice.kind.effects
+        return (*effects, CURRENT_LAG) if self._lag_beside_speed_s else effects
 
     @property
     def current_lag_s(self) -> float | None:
         """Time constant of the current sensor in s, where the data have added one."""
         lag = self.observer.form_choice.kind.lag
-        return None if lag is None else lag.lag_s
+        return self._lag_beside_speed_s or (None if lag is None else lag.lag_s)
 
     @property
     def effects_reason(self) -> str:
         """Why just these effects were added."""
-        return self.observer.form_choice.effects_reason
+        nodes = self.observer.context_nodes
+        lag_s = self._lag_beside_speed_s
+        if not lag_s or not isinstance(nodes, MeasuredSpeedUpdate):
+            return self.observer.form_choice.effects_reason
+        lag_text = (
+            f'the measured speed comes before the current, whose sensor lags by {lag_s:.3g} s'
+        )
+        remedy = 'send the current as it is measured'
+        if nodes.smoothing_weight:
+            weight = f'{nodes.smoothing_weight:.2g}'
+            lag_text += f': it is a moving average, in which the newest value weighs {weight}'
+            remedy = f'undo it by torque.expression: unsmoothed(raw, {weight})'
+        return f'{lag_text}; behind that the inductance stays open: {remedy}'
+
+    @property
+    def _lag_beside_speed_s(self) -> float:
+        """Lag of the current that a fit beside the measured speed has found, in s; 0: none."""
+        nodes = self.observer.context_nodes
+        return nodes.current_lag_s if isinstance(nodes, MeasuredSpeedUpdate) else 0.0
 
     @property
     def speed(self) -> SpeedEstimate | None:
@@ -144,6 +163,8 @@ class MotorView:
     @property
     def delay_complaint(self) -> str | None:
         """What is wrong with its delay, and what to do; None where something else is likelier."""
+        if self._lag_beside_speed_s:  # which the search for a delay finds
+            return None
         fit = self.fit
         complaint = self.delay.complaint(self.configuration.name)
         likeliest = fit.suspects[0].effect if fit.suspects else 'delay'

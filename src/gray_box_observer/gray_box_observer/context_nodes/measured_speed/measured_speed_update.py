@@ -166,6 +166,11 @@ class MeasuredSpeedUpdate:
         return self._outputs.current_lag_s if self._is_noisy else 0.0
 
     @property
+    def smoothing_weight(self) -> float:
+        """Weight of the newest value in the moving average that the current is; 0: it is none."""
+        return self._outputs.smoothing_weight if self._is_noisy else 0.0
+
+    @property
     def _is_unexplained(self) -> bool:
         """Whether the fit of both outputs does not explain the newest samples."""
         return self._failures > 0 or self._outputs.is_in_doubt

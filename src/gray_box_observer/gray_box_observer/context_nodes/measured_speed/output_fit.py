@@ -35,7 +35,11 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
+from gray_box_observer.context_nodes.rotor.window_fit import (
+    fit_window,
+    search_from,
+    with_rivals,
+)
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -79,8 +83,8 @@ sensor of the current lags: no speed is known before it is measured."""
 SAME_MEMORY = 0.03
 """Difference of two memories of the noise that are the same."""
 
-CHANCE = 4.0
-"""Correlation that white noise may have by chance, times the root of the readings of both outputs."""
+CHANCE = 3.0
+"""Correlation that white noise may have by chance, times the root of the samples."""
 
 LONGEST_MEMORY = 0.95
 """Longest memory that is believed to be that of noise."""
@@ -163,25 +167,44 @@ class OutputFit:
         return int(self.fit.logarithms.size + self.fit.starts.size)
 
     @property
+    def sensor(self) -> CurrentSensor | None:
+        """The current sensor, where it lags, as it was found; None: it does not."""
+        sensor = self.window.unknowns.current_sensor
+        lag_s = self.current_lag()[0]
+        if sensor is None or not lag_s:
+            return None
+        return replace(sensor, sum_s=lag_s + self.fit.runs.winding_s)
+
+    @property
+    def smoothing_weight(self) -> float:
+        """Weight of the newest value where the current is a moving average of samples; else 0."""
+        sensor = self.sensor
+        if sensor is None or not sensor.is_digital:
+            return 0.0
+        return float(-np.expm1(-self.window.interval_s / self.current_lag()[0]))
+
+    @property
     def memory(self) -> float:
         """Correlation of the current's noise at two samples in a row; 0 where there is none."""
         product = power = 0.0
-        histories = zip(self.window.histories, self.fit.runs.read_a, strict=True)
-        most_a = OUTLIER * MAD_TO_STD
-        for history, read_a in histories:
+        histories = self.window.histories
+        for history, read_a in zip(histories, self.fit.runs.read_a, strict=True):
             off_a = history.current_a - read_a
-            off_a = np.clip(off_a, *(sign * most_a * float(median(np.abs(off_a))) for sign in (-1.0, 1.0)))
+            most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(off_a)))
+            off_a = np.clip(off_a, -most_a, most_a)
             product += float(off_a[1:] @ off_a[:-1])
             power += float(off_a @ off_a)
-        memory = product / power if power > 0.0 else 0.0
-        chance = CHANCE / np.sqrt(self.fit.runs.residual_a.size)
+        memory = product / max(power, 1e-300)
+        chance = CHANCE / np.sqrt(self.window.current_a.size)
         return min(memory, LONGEST_MEMORY) if memory > chance else 0.0
 
     @property
     def cost(self) -> float:
-        """Twice what the readings are less likely by, but for a constant."""
-        readings = self.fit.runs.residual_a.size
-        return float(self.fit.chi_square + 2.0 * readings * np.log(self.fit.noise_a))
+        """Log-likelihood of the readings, times -2, but for a constant."""
+        output = self.window.speed_output
+        assert output is not None
+        deviations = self.fit.noise_a**2 / output.unit_a_s  # product of those of both outputs
+        return float(self.fit.chi_square + self.fit.runs.residual_a.size * np.log(deviations))
 
     @property
     def speed_leads(self) -> bool:
@@ -278,21 +301,20 @@ class FitBefore:
         walk: variance that the load gains in a second; 0 where it is constant.
         unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
         has_rivals: whether other ends were as likely.
-        current_lag_s: of the current sensor; 0 where it does not lag.
+        sensor: of the current, where it lags; None: it does not.
     """
 
     theta: Array
     walk: float
     unit_a_s: float
     has_rivals: bool
-    current_lag_s: float = 0.0
+    sensor: CurrentSensor | None = None
 
     @classmethod
     def from_fit(cls, fit: OutputFit) -> FitBefore:
         """Return what a fit of a part of the window has left."""
         has_rivals = bool(fit.fit.spread.any())
-        lag_s = fit.current_lag()[0]
-        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, lag_s)
+        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, fit.sensor)
 
 
 def fit_outputs_again(
@@ -311,12 +333,9 @@ def fit_outputs_again(
         walk_fit = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
-    sensor = None
-    if before.current_lag_s > 0.0:
-        sensor = CurrentSensor(before.current_lag_s + _winding_s(white_box, before.theta))
     return (
         yield from _settled(
-            white_box, window, prior, [before.theta], floor, last_fit=before, sensor=sensor
+            white_box, window, prior, [before.theta], floor, last_fit=before, sensor=before.sensor
         )
     )
 
@@ -374,26 +393,34 @@ def _settled(
 
 
 def fit_lagging(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, plain: OutputFit
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    plain: OutputFit,
+    *,
+    is_digital: bool,
 ) -> Pieces[OutputFit | None]:
     """Fit with a current sensor that lags; None where a voltage that is late explains as much.
 
     The winding's L/R and the lag are two of a kind, so that the search begins with either as the
-    longer one. Without the lag L/R holds both. With the wrong one the speed still comes before the
-    current.
+    longer one. Without the lag L/R holds both. With the wrong one the speed may come before the
+    current still; else it is a rival where it is nearly as likely.
 
     Args:
         white_box: of one motor with a rotor.
         window: samples with speed.
         prior: decides what the samples leave open.
         plain: the fit without a lag, or with the wrong one.
+        is_digital: whether the filter is a moving average of the samples.
     """
     floor = _floor(window)
     place = white_box.context_nodes.index('inductance')
-    winding_s = _winding_s(white_box, plain.fit.theta)
-    sensor = CurrentSensor(winding_s + plain.current_lag()[0])
-    ends = []
-    for share in SHARES:
+    winding_s = plain.fit.runs.winding_s
+    lag_s = plain.current_lag()[0]
+    sensor = CurrentSensor(winding_s + lag_s, is_digital=is_digital)
+    ends: list[OutputFit] = []
+    shares = (winding_s / sensor.sum_s, lag_s / sensor.sum_s) if lag_s else SHARES
+    for share in shares:
         theta = plain.fit.theta.copy()
         theta[place] *= share * sensor.sum_s / winding_s
         before = FitBefore(theta, 0.0, plain.noise.unit_a_s, has_rivals=False)
@@ -412,13 +439,9 @@ def fit_lagging(
         other = yield from _settled(white_box, late_window, prior, start, floor, before)
         if other is not None and other.explains and not other.speed_leads:
             return None
-    return best
-
-
-def _winding_s(white_box: MotorWhiteBox, theta: Array) -> float:
-    """Return L/R in s."""
-    values = white_box.values(theta)
-    return float(values['inductance'] / values['resistance'])
+    others = [end for end in ends if end is not best and end.explains and not end.speed_leads]
+    worse = [end.cost - best.cost for end in others]
+    return replace(best, fit=with_rivals(best.fit, [end.fit for end in others], worse, prior))
 
 
 def _loaded(

@@ -10,6 +10,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
+    LONGEST_MEMORY,
     FitBefore,
     OutputFit,
     fit_lagging,
@@ -18,7 +19,11 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
 )
 from gray_box_observer.context_nodes.pieces import SAVED, Pieces, bounded
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
-from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns
+from gray_box_observer.context_nodes.rotor.history_unknowns import (
+    CurrentSensor,
+    SpeedOutput,
+    Unknowns,
+)
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -33,6 +38,8 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 BEHIND_LAG = 2e-3
 """Share of every parameter that is open behind a lag: a filter is never quite of first order."""
 
+_SENSOR = 'current_sensor'
+
 MOST_WORK = 3 * SAVED
 """Work of a search from anywhere: what explains a window is found with less. Of the motors that
 nothing explains it is given up, and more samples are waited for."""
@@ -46,6 +53,8 @@ class OutputLearner(WindowLearner):
         walk: of the load.
         unit_a_s: noise of the current over that of the speed; 0: not known.
         current_lag_s: of the current sensor; 0: it does not lag, or was never fitted.
+        smoothing_weight: of the newest value in the moving average that the current is; 0: none.
+        sensor: of the current, where it lags; None: it does not.
     """
 
     speed_measured = True
@@ -60,6 +69,8 @@ class OutputLearner(WindowLearner):
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self.output_fit: OutputFit | None = None
         self.walk = self.unit_a_s = self.current_lag_s = 0.0
+        self.smoothing_weight = 0.0
+        self.sensor: CurrentSensor | None = None
         self._newest_fit: OutputFit | None = None  # of the fit under way
         self._tried_walk = 0.0
 
@@ -75,6 +86,8 @@ class OutputLearner(WindowLearner):
         if self._newest_fit is not None:
             self.unit_a_s = self._newest_fit.noise.unit_a_s
             self.current_lag_s = self._newest_fit.current_lag()[0]
+            self.smoothing_weight = self._newest_fit.smoothing_weight
+            self.sensor = self._newest_fit.sensor
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; tell whether a fit was found.
@@ -101,18 +114,18 @@ class OutputLearner(WindowLearner):
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
         box = self._white_box
-        known = self._newest_fit
-        if known is not None and known.current_lag()[0] > 0.0:  # of a part of these samples
-            again = fit_outputs_again(box, window, prior, FitBefore.from_fit(known))
-            fit = yield from bounded(again, MOST_WORK)
+        part_fit = self._newest_fit
+        if part_fit is not None and part_fit.current_lag()[0] > 0.0:  # of a part of these samples
+            search = fit_outputs_again(box, window, prior, FitBefore.from_fit(part_fit))
+            fit = yield from bounded(search, MOST_WORK)
             if fit is not None and fit.explains and not fit.speed_leads:
                 return self._noted(fit)
         search = fit_outputs(box, window, prior, starts, self._tried_walk)
         fit = yield from bounded(search, MOST_WORK)
         if fit is not None and fit.speed_leads:
-            lagging = yield from self._lagging(window, prior, fit)
-            if lagging is not None:
-                return self._noted(lagging)
+            late_fit = yield from self._behind_lag(window, prior, fit)
+            if late_fit is not None:
+                return self._noted(late_fit)
             search = fit_outputs(
                 box, window, prior, [fit.fit.theta], self._tried_walk, stops_at_lead=False
             )
@@ -120,27 +133,31 @@ class OutputLearner(WindowLearner):
         return self._noted(fit)
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
-        before = FitBefore(
-            self.theta, self.walk, self.unit_a_s, self.has_rivals, self.current_lag_s
-        )
+        before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
         fit = yield from fit_outputs_again(self._white_box, window, prior, before)
-        if fit is not None and fit.speed_leads:
-            lagging = yield from self._lagging(window, prior, fit)
-            fit = fit if lagging is None else lagging
+        if fit is not None and (fit.speed_leads or (fit.current_lag()[0] and self.has_rivals)):
+            late_fit = yield from self._behind_lag(window, prior, fit)
+            fit = fit if late_fit is None else late_fit
         return self._noted(fit)
 
-    def _lagging(self, window: Window, prior: LogPrior, lead: OutputFit) -> Pieces[OutputFit | None]:
+    def _behind_lag(
+        self, window: Window, prior: LogPrior, lead: OutputFit
+    ) -> Pieces[OutputFit | None]:
         """Fit a window with a current sensor that lags; None where that does not explain it.
 
         Args:
             window: the samples.
             prior: decides what they leave open.
-            lead: a fit whose speed comes before the current.
+            lead: a fit whose speed comes before the current, or whose lag has rivals.
         """
-        search = fit_lagging(self._white_box, window, prior, lead)
-        fit = yield from bounded(search, MOST_WORK)
-        return fit if fit is not None and fit.explains and not fit.speed_leads else None
+        ends = []
+        for is_digital in (False, True):
+            search = fit_lagging(self._white_box, window, prior, lead, is_digital=is_digital)
+            fit = yield from bounded(search, MOST_WORK)
+            if fit is not None and fit.explains and not fit.speed_leads:
+                ends.append(fit)
+        return min(ends, key=lambda end: end.cost, default=None)
 
     def _noted(self, fit: OutputFit | None) -> Fit | None:
         self._newest_fit = fit
@@ -186,6 +203,11 @@ class OutputUpdate(RotorUpdate):
     def current_lag_s(self) -> float:
         """Lag of the current sensor in s; 0 where none was found."""
         return self._learner.current_lag_s
+
+    @property
+    def smoothing_weight(self) -> float:
+        """Weight of the newest value in the moving average that the current is; 0: it is none."""
+        return self._learner.smoothing_weight
 
     @property
     def is_in_doubt(self) -> bool:
@@ -236,6 +258,8 @@ class OutputUpdate(RotorUpdate):
             'walk': np.array([self._learner.walk]),
             'unit': np.array([self._learner.unit_a_s]),
             'current_lag': np.array([self._learner.current_lag_s]),
+            'smoothing_weight': np.array([self._learner.smoothing_weight]),
+            **_sensor_arrays(self._learner.sensor),
         }
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
@@ -244,10 +268,32 @@ class OutputUpdate(RotorUpdate):
         self._learner.walk = float(arrays['walk'][0])
         self._learner.unit_a_s = _number(arrays, 'unit')
         self._learner.current_lag_s = _number(arrays, 'current_lag')
+        self._learner.smoothing_weight = _number(arrays, 'smoothing_weight')
+        self._learner.sensor = _restored_sensor(arrays)
         super().restore(plain, arrays, motor)
         self._learner.output_fit = None
         if self.replay.stored(0):
             self._speed = self.replay.newest(1)[SPEED, :, 0].copy()
+
+
+def _sensor_arrays(sensor: CurrentSensor | None) -> dict[str, Array]:
+    """Return a current sensor that lags as arrays of a state; none without one."""
+    if sensor is None:
+        return {}
+    return {_SENSOR: np.array([sensor.sum_s, sensor.memory, float(sensor.is_digital)])}
+
+
+def _restored_sensor(arrays: dict[str, Array]) -> CurrentSensor | None:
+    """Return what :func:`_sensor_arrays` gave.
+
+    Raises:
+        CheckpointError: it is none that could have been found.
+    """
+    if _SENSOR not in arrays:
+        return None
+    check_arrays(arrays, {_SENSOR: ArrayRule((3,), 0.0)})
+    sum_s, memory, is_digital = arrays[_SENSOR].tolist()
+    return CurrentSensor(sum_s, min(memory, LONGEST_MEMORY), bool(is_digital))
 
 
 def _number(arrays: dict[str, Array], name: str) -> float:

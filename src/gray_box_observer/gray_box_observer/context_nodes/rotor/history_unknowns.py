@@ -63,16 +63,19 @@ class LoadWalk:
 
 @dataclass(frozen=True)
 class CurrentSensor:
-    """A current sensor that lags by first order.
+    """A current sensor behind a filter of first order.
 
     Attributes:
         sum_s: lag and L/R together in s, about: where a search begins the lag is what L/R leaves.
         memory: correlation of its noise at two samples in a row: noise before a filter passes it,
             too.
+        is_digital: whether the filter is a moving average of the samples, in which every one
+            weighs less than the next by the same factor.
     """
 
     sum_s: float
     memory: float = 0.0
+    is_digital: bool = False
 
     def whitened(self, signal: Array) -> Array:
         """Return what a signal has beyond the memory of its noise, of its shape.
@@ -82,7 +85,7 @@ class CurrentSensor:
         """
         if self.memory == 0.0:
             return signal
-        result = signal.copy()
+        result: Array = signal.copy()
         result[1:] -= self.memory * signal[:-1]
         result[0] *= np.sqrt(1.0 - self.memory**2)
         return result

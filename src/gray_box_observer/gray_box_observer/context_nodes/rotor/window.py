@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
+from gray_box_observer.context_nodes.rotor.filter_readings import FilterReadings
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
     LAG,
     LateReadings,
@@ -19,12 +20,11 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     load_over_intervals,
     load_slopes,
 )
-from gray_box_observer.context_nodes.rotor.lagging_current import LaggingCurrent
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -49,6 +49,9 @@ work; a reading is another one."""
 
 WORK_A_LAG = 6
 """Work of a reading of a current sensor that lags, with its derivatives."""
+
+RESISTANCE = tuple(TERMS).index('resistance')
+"""Place of R/L among the coordinates."""
 
 LEAST_LAG = 0.1
 """Share of lag and L/R together that a search begins with for the lag, at least."""
@@ -276,33 +279,38 @@ class FreeRuns:
         )
 
     @cached_property
-    def _lagging(self) -> tuple[tuple[LaggingCurrent, Array] | None, ...]:
-        """The current sensor where it lags, with its readings, one a history."""
+    def _filter(self) -> tuple[FilterReadings | None, ...]:
+        """What the current sensor reads where it lags, one a history."""
         unknowns = self.window.unknowns
-        if unknowns.current_sensor is None:
+        sensor = unknowns.current_sensor
+        if sensor is None:
             return (None,) * len(self.runs)
         place = unknowns.current_lag
-        sensors = [
-            LaggingCurrent(
+        histories = zip(self.window.histories, self.runs, self.starts, strict=True)
+        return tuple(
+            FilterReadings(
                 path.states,
                 history.interval_s,
                 float(start[place]),
                 float(start[place + 1]),
                 self.p,
                 self.torque_constant,
+                sensor.is_digital,
             )
-            for history, path, start in zip(
-                self.window.histories, self.runs, self.starts, strict=True
-            )
-        ]
-        return tuple((sensor, sensor.readings()) for sensor in sensors)
+            for history, path, start in histories
+        )
+
+    @property
+    def winding_s(self) -> float:
+        """L/R in s."""
+        return 1.0 / float(self.p[RESISTANCE])
 
     @property
     def read_a(self) -> tuple[Array, ...]:
         """Currents that the sensor reads but for its noise, shape (k + 1,) each, one a history."""
         return tuple(
-            path.states[:, State.CURRENT] if lagging is None else lagging[1]
-            for path, lagging in zip(self.runs, self._lagging, strict=True)
+            path.states[:, State.CURRENT] if behind is None else behind.current_a
+            for path, behind in zip(self.runs, self._filter, strict=True)
         )
 
     @cached_property
@@ -312,12 +320,12 @@ class FreeRuns:
         Where the speed is an output, that of the speed follows in every history, in the unit of
         the current's noise.
         """
-        parts = zip(self.window.histories, self.runs, self._late, self._lagging, strict=True)
+        parts = zip(self.window.histories, self.runs, self._late, self.read_a, strict=True)
         return np.concatenate(
             [
                 residual
-                for history, path, late, lagging in parts
-                for residual in _residuals(history, path, late, lagging, self.window.unknowns)
+                for history, path, late, read_a in parts
+                for residual in _residuals(history, path, late, read_a, self.window.unknowns)
             ]
         )
 
@@ -328,10 +336,10 @@ class FreeRuns:
         Shape (reading, unknown + parameter) each: by the unknowns of the history, first states
         before all, then by the logarithms of the parameters.
         """
-        parts = zip(self.runs, self._late, self._lagging, self._loads, strict=True)
+        parts = zip(self.runs, self._late, self._filter, self._loads, strict=True)
         return tuple(
-            _derivatives(path, late, lagging, knots, self.by_logarithm, self.window)
-            for path, late, lagging, knots in parts
+            _derivatives(path, late, behind, knots, self.by_logarithm, self.window)
+            for path, late, behind, knots in parts
         )
 
     @property
@@ -408,12 +416,11 @@ def _residuals(
     history: History,
     path: Run,
     late: LateReadings | None,
-    lagging: tuple[LaggingCurrent, Array] | None,
+    read_a: Array,
     unknowns: Unknowns,
 ) -> tuple[Array, ...]:
     """Return what a run leaves of a history's readings, one array an output."""
     output = unknowns.speed_output
-    read_a = path.states[:, State.CURRENT] if lagging is None else lagging[1]
     current = history.current_a - read_a
     if unknowns.current_sensor is not None:
         current = unknowns.current_sensor.whitened(current)
@@ -426,7 +433,7 @@ def _residuals(
 def _derivatives(
     path: Run,
     late: LateReadings | None,
-    lagging: tuple[LaggingCurrent, Array] | None,
+    behind: FilterReadings | None,
     load_by_knot: Array | None,
     by_logarithm: Array,
     window: Window,
@@ -443,16 +450,16 @@ def _derivatives(
         result[:, :, window.unknowns.loads] = load_by_knot[:, :outputs].swapaxes(0, 1)
     if output is None or late is None:
         return result.reshape(count, -1)
-    if lagging is not None:
-        sensor, readings_a = lagging
+    sensor = window.unknowns.current_sensor
+    if sensor is not None and behind is not None:
         place = window.unknowns.current_lag
-        by_state = np.delete(result, [place, place + 1], axis=2).swapaxes(0, 1)
-        by_reading = sensor.derivatives(readings_a, by_state, by_logarithm)
-        result[State.CURRENT, :, :place] = by_reading[:, :place]
-        result[State.CURRENT, :, place : place + 2] = by_reading[:, -2:]
-        result[State.CURRENT, :, place + 2 :] = by_reading[:, place:-2]
-    if window.unknowns.current_sensor is not None:
-        result[State.CURRENT] = window.unknowns.current_sensor.whitened(result[State.CURRENT])
+        own = [place, place + 1]
+        others = np.delete(np.arange(result.shape[2]), own)
+        by_reading = sensor.whitened(
+            behind.derivatives(result[:, :, others].swapaxes(0, 1), by_logarithm)
+        )
+        result[State.CURRENT][:, others] = by_reading[:, :-2]
+        result[State.CURRENT][:, own] = by_reading[:, -2:]
     speed = late.of_signal(result[State.SPEED])
     speed[:, LAG] = late.by_lag(path.states[:, State.SPEED])
     speed *= (late.is_covered * output.unit_a_s)[:, None]
