@@ -138,6 +138,15 @@ def test_of_a_moving_average_the_remedy_names_the_weight() -> None:
     assert 'undo it by torque.expression: unsmoothed(raw, 0.4)' in motor.effects_reason
 
 
+def test_without_effects_no_filter_is_looked_for() -> None:
+    observer = Observer(Configuration.from_flat({**CONSTANTS, 'motor.effects': 'none'}))
+    feed(observer, smoothed(), range(1500))
+    motor = observer.motors['motor']
+    assert motor.current_lag_s is None
+    assert motor.fit.verdict is FitVerdict.MISFIT
+    assert motor.effects_reason == 'as configured'
+
+
 @pytest.mark.slow
 def test_without_a_filter_nothing_is_added_and_everything_identified() -> None:
     motor = observed('plain').motors['motor']

@@ -285,9 +285,11 @@ def context_nodes(
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
+        finds_lag = motors[0].values['effects'] == 'auto'
         return MeasuredSpeedUpdate(
-            white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics
-        )
+            white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics,
+            finds_lag=finds_lag,
+        )  # fmt: skip
     return RecursiveEstimator(white_box, initial, UNUSED_SEED, rules, verdicts, relative_std)
 
 

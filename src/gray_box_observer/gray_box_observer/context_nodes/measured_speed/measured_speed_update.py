@@ -108,6 +108,7 @@ class MeasuredSpeedUpdate:
             nothing is stated.
         mechanics: the rotor's parameters to publish, with what is known of them beforehand; None:
             none, and the whole motor is fitted only where the speed gives a reason.
+        finds_lag: whether a lag of the current sensor is looked for.
     """
 
     def __init__(
@@ -119,6 +120,8 @@ class MeasuredSpeedUpdate:
         verdict_rules: VerdictSettings,
         initial_relative_std: Array,
         mechanics: Mechanics | None = None,
+        *,
+        finds_lag: bool = True,
     ) -> None:
         self._white_box = white_box
         self._mechanics = mechanics
@@ -137,6 +140,7 @@ class MeasuredSpeedUpdate:
             rules,
             verdict_rules,
             np.concatenate([initial_relative_std, [rotor.initial_relative_std]], axis=1),
+            finds_lag=finds_lag,
         )
         self.published_mechanics = PublishedMechanics(white_box, mechanics)
         self._comparison = SpeedComparison(white_box, self._exact, self._outputs)

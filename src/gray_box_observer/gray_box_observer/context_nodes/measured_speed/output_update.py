@@ -55,6 +55,7 @@ class OutputLearner(WindowLearner):
         current_lag_s: of the current sensor; 0: it does not lag, or was never fitted.
         smoothing_weight: of the newest value in the moving average that the current is; 0: none.
         sensor: of the current, where it lags; None: it does not.
+        finds_lag: whether a lag of the current sensor is looked for.
     """
 
     speed_measured = True
@@ -71,6 +72,7 @@ class OutputLearner(WindowLearner):
         self.walk = self.unit_a_s = self.current_lag_s = 0.0
         self.smoothing_weight = 0.0
         self.sensor: CurrentSensor | None = None
+        self.finds_lag = True
         self._newest_fit: OutputFit | None = None  # of the fit under way
         self._tried_walk = 0.0
 
@@ -120,9 +122,11 @@ class OutputLearner(WindowLearner):
             fit = yield from bounded(search, MOST_WORK)
             if fit is not None and fit.explains and not fit.speed_leads:
                 return self._noted(fit)
-        search = fit_outputs(box, window, prior, starts, self._tried_walk)
+        search = fit_outputs(
+            box, window, prior, starts, self._tried_walk, stops_at_lead=self.finds_lag
+        )
         fit = yield from bounded(search, MOST_WORK)
-        if fit is not None and fit.speed_leads:
+        if fit is not None and self.finds_lag and fit.speed_leads:
             late_fit = yield from self._behind_lag(window, prior, fit)
             if late_fit is not None:
                 return self._noted(late_fit)
@@ -136,7 +140,10 @@ class OutputLearner(WindowLearner):
         before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
         fit = yield from fit_outputs_again(self._white_box, window, prior, before)
-        if fit is not None and (fit.speed_leads or (fit.current_lag()[0] and self.has_rivals)):
+        is_open = fit is not None and (
+            fit.speed_leads or (fit.current_lag()[0] > 0.0 and self.has_rivals)
+        )
+        if fit is not None and self.finds_lag and is_open:
             late_fit = yield from self._behind_lag(window, prior, fit)
             fit = fit if late_fit is None else late_fit
         return self._noted(fit)
@@ -178,7 +185,16 @@ class OutputLearner(WindowLearner):
 
 
 class OutputUpdate(RotorUpdate):
-    """Context nodes of one motor with a rotor, learnt from current and speed window by window."""
+    """Context nodes of one motor with a rotor, learnt from current and speed window by window.
+
+    Args:
+        white_box: the physics, with the inertia among its context nodes.
+        initial: shape (1, parameter): where to start, SI units.
+        rules: settings of the rule.
+        verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (1, parameter): how well the initial values are known.
+        finds_lag: whether a lag of the current sensor is looked for.
+    """
 
     _learner_type = OutputLearner
     _learner: OutputLearner
@@ -190,8 +206,11 @@ class OutputUpdate(RotorUpdate):
         rules: RecursiveSettings | None = None,
         verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
+        *,
+        finds_lag: bool = True,
     ) -> None:
         super().__init__(white_box, initial, rules, verdict_rules, initial_relative_std)
+        self._learner.finds_lag = finds_lag
         self._speed = np.zeros(1)
 
     @property
