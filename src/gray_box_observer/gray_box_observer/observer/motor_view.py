@@ -124,7 +124,7 @@ class MotorView:
         )
         remedy = 'send the current as it is measured'
         if nodes.smoothing_weight:
-            weight = f'{nodes.smoothing_weight:.2g}'
+            weight = f'{nodes.smoothing_weight:.3g}'
             lag_text += f': it is a moving average, in which the newest value weighs {weight}'
             remedy = f'undo it by torque.expression: unsmoothed(raw, {weight})'
         return f'{lag_text}; behind that the inductance stays open: {remedy}'
