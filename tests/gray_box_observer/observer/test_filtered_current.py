@@ -15,6 +15,8 @@ from gray_box_observer.context_nodes import (
     RecursiveSettings,
     VerdictSettings,
 )
+from gray_box_observer.context_nodes.measured_speed.output_update import OutputLearner
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.delay.watch import DelayVerdict
 from gray_box_observer.errors import CheckpointError
@@ -169,6 +171,28 @@ def test_a_delay_that_a_search_finds_behind_a_filter_is_that_filter(
     assert is_named == (kind == 'plain')
     monkeypatch.setattr(MotorView, 'delay', delay)
     assert (motor.delay_complaint is not None) == (kind == 'plain')
+
+
+@pytest.mark.slow
+def test_a_filter_that_was_taken_off_is_none_any_more() -> None:
+    nodes = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+    box = MotorWhiteBox(nodes, GEAR_MOTOR.torque_constant, {'back_emf_constant': 0.02})
+    start = np.array([[parameter.initial for parameter in box.parameters]])
+    learner = OutputLearner(box, start, None, 1e3)
+    lags_s = []
+    for record in (smoothed(), recorded()):
+        signals = [
+            [float(s.interval_s[0]), float(s.voltage_v[0]), float(s.torque_nm[0]), speed]
+            for s, speed in zip(samples_of(record), record.speed_rad_s[0].tolist(), strict=True)
+        ]
+        window = learner.window(np.array(signals[:600]).T)
+        learner.begin()
+        assert completed(learner.learn(window, is_full=False))
+        learner.end()
+        lags_s.append(learner.current_lag_s)
+    assert lags_s[0] == pytest.approx(-2e-3 / np.log(1.0 - WEIGHT), rel=0.05)
+    assert lags_s[1] == 0.0
+    assert learner.sensor is None
 
 
 def test_a_checkpoint_takes_the_filter_along() -> None:

@@ -80,6 +80,9 @@ LEAD, LEAD_STDS = 0.1, 5.0
 """Sample intervals, and standard deviations, by which the speed comes before the current where the
 sensor of the current lags: no speed is known before it is measured."""
 
+LEAST_LAG = 0.03
+"""Sample intervals from which a lag of the current is one."""
+
 SAME_MEMORY = 0.03
 """Difference of two memories of the noise that are the same."""
 
@@ -174,6 +177,12 @@ class OutputFit:
         if sensor is None or not lag_s:
             return None
         return replace(sensor, sum_s=lag_s + self.fit.runs.winding_s)
+
+    @property
+    def shows_lag(self) -> bool:
+        """Whether the current sensor lags, and by more than chance."""
+        lag_s, std_s = self.current_lag()
+        return lag_s > max(LEAST_LAG * self.window.interval_s, LEAD_STDS * std_s)
 
     @property
     def smoothing_weight(self) -> float:

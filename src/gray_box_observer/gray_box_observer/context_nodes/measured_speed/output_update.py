@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,9 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 
 BEHIND_LAG = 2e-3
 """Share of every parameter that is open behind a lag: a filter is never quite of first order."""
+
+LESS_LAG = 0.5
+"""Share of a lag below which it is asked whether there is none any more."""
 
 _SENSOR = 'current_sensor'
 
@@ -140,6 +144,10 @@ class OutputLearner(WindowLearner):
         before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
         fit = yield from fit_outputs_again(self._white_box, window, prior, before)
+        if fit is not None and fit.current_lag()[0] < LESS_LAG * self.current_lag_s:
+            before = replace(before, sensor=None)  # the filter may have been taken off
+            plain = yield from fit_outputs_again(self._white_box, window, prior, before)
+            fit = plain if plain is not None and plain.explains else fit
         is_open = fit is not None and (
             fit.speed_leads or (fit.current_lag()[0] > 0.0 and self.has_rivals)
         )
@@ -162,7 +170,7 @@ class OutputLearner(WindowLearner):
         for is_digital in (False, True):
             search = fit_lagging(self._white_box, window, prior, lead, is_digital=is_digital)
             fit = yield from bounded(search, MOST_WORK)
-            if fit is not None and fit.explains and not fit.speed_leads:
+            if fit is not None and fit.explains and fit.shows_lag and not fit.speed_leads:
                 ends.append(fit)
         return min(ends, key=lambda end: end.cost, default=None)
 
