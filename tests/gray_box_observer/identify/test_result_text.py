@@ -177,3 +177,12 @@ def test_what_the_fit_test_says_stands_once(
     out, err = capsys.readouterr()
     assert len(re.findall('Believe none of the parameters', out + err)) == 1
     assert ('Believe none' in err) == bool(options)
+
+
+def test_an_inductance_behind_a_filter_asks_for_the_filter_and_not_for_more_voltage() -> None:
+    inductance = {**entry(0.01, 0.03, 'H'), 'verdict': 'unexcited'}
+    behind = {'effects': ['current_lag'], 'effects_reason': 'it is late'}
+    lines = text_of(parameters={'inductance': inductance}, **behind)
+    steps = [line for line in lines if 'next step' in line]
+    assert len(steps) == 1
+    assert 'a filter of the current hides it' in steps[0]

@@ -24,6 +24,7 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.verdict_advice import verdict_advice
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -129,8 +130,9 @@ def test_the_lag_of_a_filter_is_told() -> None:
     motor = observed('analogue').motors['motor']
     assert motor.added_effects == ('current_lag',)
     assert motor.current_lag_s == pytest.approx(LAG_S, rel=0.05)
-    assert 'whose sensor lags by 0.00' in motor.effects_reason
+    assert 'which passes a filter of 0.00' in motor.effects_reason
     assert 'inductance stays open: send the current as it is measured' in motor.effects_reason
+    assert verdict_advice(motor) is None  # more voltage would not tell the inductance
 
 
 @pytest.mark.slow

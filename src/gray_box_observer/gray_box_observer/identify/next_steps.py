@@ -8,7 +8,9 @@ from typing import Any
 
 from gray_box_observer.context_nodes import Verdict, VerdictSettings
 from gray_box_observer.fit_test.policy import SHORTEST
+from gray_box_observer.observer.motor_form import MEASURED
 from gray_box_observer.observer.verdict_advice import ADVICE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 
 REMEDIES = {
@@ -20,6 +22,9 @@ REMEDIES = {
 
 UNSETTLED = 'not borne out by the newest samples yet: record for longer'
 """The same of what converges though its deviation is small enough."""
+
+BEHIND_FILTER = 'a filter of the current hides it: take it off, or undo it, as effects added says'
+"""The same of an inductance beside a measured speed whose current passes a filter."""
 
 OPEN = (Verdict.UNEXCITED.value, Verdict.CONVERGING.value)
 """Verdicts of what is not known yet."""
@@ -61,7 +66,11 @@ def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = Fals
     """
     verdicts = {p: entry['verdict'] for p, entry in motor['parameters'].items()}
     steps = []
-    if verdicts.get('inductance') in OPEN:
+    is_open = verdicts.get('inductance') in OPEN
+    if is_open and motor['speed_source'] == MEASURED and CURRENT_LAG in motor.get('effects', ()):
+        steps.append(f'inductance: {BEHIND_FILTER}')
+        del verdicts['inductance']
+    elif is_open:
         step = _of_short_time_constant(name, motor, stamps_exact=stamps_exact)
         if step is not None:
             steps.append(step)

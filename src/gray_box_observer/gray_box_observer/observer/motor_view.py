@@ -115,19 +115,32 @@ class MotorView:
     @property
     def effects_reason(self) -> str:
         """Why just these effects were added."""
-        nodes = self.observer.context_nodes
         lag_s = self._lag_beside_speed_s
-        if not lag_s or not isinstance(nodes, MeasuredSpeedUpdate):
+        if not lag_s:
             return self.observer.form_choice.effects_reason
-        lag_text = (
-            f'the measured speed comes before the current, whose sensor lags by {lag_s:.3g} s'
+        weight = self._smoothing_weight
+        average = f', a moving average whose newest value weighs {weight:.3g}' if weight else ''
+        return (
+            'the measured speed comes before the current, which passes a filter of '
+            f'{lag_s:.3g} s{average}; {self.filter_remedy}'
         )
+
+    @property
+    def filter_remedy(self) -> str | None:
+        """What to do about a filter that hides the inductance; None where none was found."""
+        if not self._lag_beside_speed_s:
+            return None
+        weight = self._smoothing_weight
         remedy = 'send the current as it is measured'
-        if nodes.smoothing_weight:
-            weight = f'{nodes.smoothing_weight:.3g}'
-            lag_text += f': it is a moving average, in which the newest value weighs {weight}'
-            remedy = f'undo it by torque.expression: unsmoothed(raw, {weight})'
-        return f'{lag_text}; behind that the inductance stays open: {remedy}'
+        if weight:
+            remedy = f'undo it by torque.expression: unsmoothed(raw, {weight:.3g})'
+        return f'behind a filter of the current the inductance stays open: {remedy}'
+
+    @property
+    def _smoothing_weight(self) -> float:
+        """Weight of the newest value in the moving average that the current is; 0: it is none."""
+        nodes = self.observer.context_nodes
+        return nodes.smoothing_weight if isinstance(nodes, MeasuredSpeedUpdate) else 0.0
 
     @property
     def _lag_beside_speed_s(self) -> float:

@@ -292,9 +292,11 @@ class _Teller:
         """Return level and advice, as diagnostics would put them."""
         view = self._observer.motors[motor]
         fit = view.fit
-        advice = verdict_advice(view.estimate)
+        advice = verdict_advice(view)
         if advice is not None and fit.verdict is not FitVerdict.MISFIT:
             return 'warn', advice
         if fit.has_advice:
             return 'warn', fit.sentence
+        if view.filter_remedy is not None:
+            return 'warn', view.filter_remedy
         return 'ok', 'every parameter identified' if view.identified else 'converging'

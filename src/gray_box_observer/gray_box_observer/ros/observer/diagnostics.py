@@ -317,6 +317,9 @@ def _verdicts(motor: str, now: Situation, assumption_names: Collection[str]) -> 
         return DiagnosticStatus.WARN, doubt
     if fit.withheld is not None:
         return DiagnosticStatus.WARN, fit.sentence
+    remedy = now.observer.motors[motor].filter_remedy
+    if remedy is not None:
+        return DiagnosticStatus.WARN, remedy
     change_count = now.traffic.motors[motor].changes
     if estimate.identified(0):
         change_note = ': the motor has changed and was followed' if change_count else ''
@@ -332,7 +335,7 @@ def _verdicts(motor: str, now: Situation, assumption_names: Collection[str]) -> 
 
 def _advice(motor: str, now: Situation) -> Judgement | None:
     """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
-    advice = verdict_advice(now.observer.motors[motor].estimate)
+    advice = verdict_advice(now.observer.motors[motor])
     return None if advice is None else (DiagnosticStatus.WARN, advice)
 
 
