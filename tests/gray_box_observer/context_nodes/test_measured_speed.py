@@ -482,7 +482,7 @@ def test_a_shaft_that_rests_at_first_leaves_the_question_open() -> None:
 
 
 def test_what_explains_few_samples_only_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(*_: Any) -> Any:
+    def nothing(*_: Any, **__: Any) -> Any:
         yield 1
 
     monkeypatch.setattr(output_update, 'fit_outputs', nothing)
@@ -582,7 +582,7 @@ def test_windows_that_no_fit_is_found_for_are_failures(monkeypatch: pytest.Monke
     update = learnt(readings('noisy', 1.0))
     assert update.is_noisy
 
-    def nothing(*_: Any) -> Any:
+    def nothing(*_: Any, **__: Any) -> Any:
         yield 1
 
     monkeypatch.setattr(output_update, 'fit_outputs', nothing)

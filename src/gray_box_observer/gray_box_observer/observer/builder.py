@@ -285,7 +285,9 @@ def context_nodes(
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
-        finds_lag = motors[0].values['effects'] == 'auto'
+        first = motors[0]
+        is_open = first.values['effects'] == 'auto' and not first.estimates_delay
+        finds_lag = is_open and not first.has_value(DEAD_ZONE)  # what that takes would lag, too
         return MeasuredSpeedUpdate(
             white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics,
             finds_lag=finds_lag,

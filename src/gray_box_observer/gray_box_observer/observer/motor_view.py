@@ -138,9 +138,12 @@ class MotorView:
 
     @property
     def _smoothing_weight(self) -> float:
-        """Weight of the newest value in the moving average that the current is; 0: it is none."""
+        """Weight of the newest value in a moving average of the current; 0: none is told."""
         nodes = self.observer.context_nodes
-        return nodes.smoothing_weight if isinstance(nodes, MeasuredSpeedUpdate) else 0.0
+        is_misfit = self.fit.verdict is FitVerdict.MISFIT
+        if is_misfit or not isinstance(nodes, MeasuredSpeedUpdate):
+            return 0.0
+        return nodes.smoothing_weight
 
     @property
     def _lag_beside_speed_s(self) -> float:

@@ -125,6 +125,7 @@ class MeasuredSpeedUpdate:
     ) -> None:
         self._white_box = white_box
         self._mechanics = mechanics
+        self._finds_lag = finds_lag
         rotor = mechanics or DEFAULT_MECHANICS
         self._exact = RecursiveEstimator(
             white_box, initial, seed, rules, verdict_rules, initial_relative_std
@@ -153,6 +154,7 @@ class MeasuredSpeedUpdate:
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
         self._change_flags = np.zeros(1, dtype=bool)
+        self._current_lag_s = self._smoothing_weight = 0.0  # of the samples that are remembered
 
     @property
     def is_noisy(self) -> bool:
@@ -167,12 +169,12 @@ class MeasuredSpeedUpdate:
     @property
     def current_lag_s(self) -> float:
         """Lag of the current sensor in s, where that is believed; 0: it does not lag."""
-        return self._outputs.current_lag_s if self._is_noisy else 0.0
+        return self._current_lag_s if self._is_noisy else 0.0
 
     @property
     def smoothing_weight(self) -> float:
         """Weight of the newest value in the moving average that the current is; 0: it is none."""
-        return self._outputs.smoothing_weight if self._is_noisy else 0.0
+        return self._smoothing_weight if self._is_noisy else 0.0
 
     @property
     def _is_unexplained(self) -> bool:
@@ -412,6 +414,8 @@ class MeasuredSpeedUpdate:
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         samples = as_of_motor(samples, fit)
+        self._current_lag_s = fit.current_lag()[0]
+        self._smoothing_weight = fit.smoothing_weight
         self._samples = remembering(samples, place, self.present_since(motor=0))
         self._shares = self._measured_shares(samples, fit)
         return True
@@ -447,6 +451,8 @@ class MeasuredSpeedUpdate:
             'rest_until': self._rest_until - newest_place,
             'noisy_from': self._noisy_from - newest_place,
             'place': int(self._samples.received[0]) - newest_place,
+            'current_lag_s': self._current_lag_s,
+            'smoothing_weight': self._smoothing_weight,
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
@@ -482,6 +488,10 @@ class MeasuredSpeedUpdate:
         self._noisy_from = max(newest_place + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
         self._is_asked = flag(own, 'asked') if 'asked' in own else self._is_noisy
+        self._current_lag_s = self._smoothing_weight = 0.0
+        if self._finds_lag and 'current_lag_s' in own:  # not in files of early releases
+            self._current_lag_s = number(own, 'current_lag_s', 0.0, LARGEST)
+            self._smoothing_weight = number(own, 'smoothing_weight', 0.0, 1.0)
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)

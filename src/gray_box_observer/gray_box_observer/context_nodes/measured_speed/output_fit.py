@@ -36,6 +36,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import (
+    RIVAL,
     fit_window,
     search_from,
     with_rivals,
@@ -186,15 +187,22 @@ class OutputFit:
 
     @property
     def smoothing_weight(self) -> float:
-        """Weight of the newest value where the current is a moving average of samples; else 0."""
+        """Weight of the newest value where the current is surely a moving average; else 0."""
         sensor = self.sensor
-        if sensor is None or not sensor.is_digital:
+        if sensor is None or not (sensor.is_digital and sensor.is_sure):
             return 0.0
         return float(-np.expm1(-self.window.interval_s / self.current_lag()[0]))
 
     @property
     def memory(self) -> float:
-        """Correlation of the current's noise at two samples in a row; 0 where there is none."""
+        """Correlation of the current's noise at two samples in a row; 0 where there is none.
+
+        It is at most what the filter leaves of a reading after an interval: noise that passes it
+        remembers so much, and what remembers more is no noise.
+        """
+        lag_s = self.current_lag()[0]
+        if not lag_s:
+            return 0.0
         product = power = 0.0
         histories = self.window.histories
         for history, read_a in zip(histories, self.fit.runs.read_a, strict=True):
@@ -205,7 +213,8 @@ class OutputFit:
             power += float(off_a @ off_a)
         memory = product / max(power, 1e-300)
         chance = CHANCE / np.sqrt(self.window.current_a.size)
-        return min(memory, LONGEST_MEMORY) if memory > chance else 0.0
+        longest = min(float(np.exp(-self.window.interval_s / lag_s)), LONGEST_MEMORY)
+        return min(memory, longest) if memory > chance else 0.0
 
     @property
     def cost(self) -> float:
@@ -402,55 +411,84 @@ def _settled(
 
 
 def fit_lagging(
-    white_box: MotorWhiteBox,
-    window: Window,
-    prior: LogPrior,
-    plain: OutputFit,
-    *,
-    is_digital: bool,
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, plain: OutputFit
 ) -> Pieces[OutputFit | None]:
-    """Fit with a current sensor that lags; None where a voltage that is late explains as much.
+    """Fit with a current that passes a filter; None where that is not told.
 
-    The winding's L/R and the lag are two of a kind, so that the search begins with either as the
-    longer one. Without the lag L/R holds both. With the wrong one the speed may come before the
-    current still; else it is a rival where it is nearly as likely.
+    Of the two time constants, L/R and the filter's, either may be the longer one: the search begins
+    with both orders. In the wrong one the speed may come before the current still, and it is none
+    then. The filter may be analogue, or a moving average of the samples. The likeliest end counts,
+    and others that are nearly as likely widen it.
 
     Args:
         white_box: of one motor with a rotor.
         window: samples with speed.
         prior: decides what the samples leave open.
-        plain: the fit without a lag, or with the wrong one.
-        is_digital: whether the filter is a moving average of the samples.
+        plain: the fit without a filter, or with the wrong one.
     """
     floor = _floor(window)
     place = white_box.context_nodes.index('inductance')
     winding_s = plain.fit.runs.winding_s
     lag_s = plain.current_lag()[0]
-    sensor = CurrentSensor(winding_s + lag_s, is_digital=is_digital)
-    ends: list[OutputFit] = []
-    shares = (winding_s / sensor.sum_s, lag_s / sensor.sum_s) if lag_s else SHARES
-    for share in shares:
+    sum_s = winding_s + lag_s
+    starts = []
+    for share in (winding_s / sum_s, lag_s / sum_s) if lag_s else SHARES:
         theta = plain.fit.theta.copy()
-        theta[place] *= share * sensor.sum_s / winding_s
-        before = FitBefore(theta, 0.0, plain.noise.unit_a_s, has_rivals=False)
-        end = yield from _settled(white_box, window, prior, [theta], floor, before, sensor)
-        if end is not None:
-            ends.append(end)
+        theta[place] *= share * sum_s / winding_s
+        starts.append(theta)
+    ends: list[OutputFit] = []
+    for is_digital in (False, True):
+        sensor = CurrentSensor(sum_s, is_digital=is_digital)
+        own_ends: list[OutputFit] = []
+        for theta in starts:
+            before = FitBefore(theta, 0.0, plain.noise.unit_a_s, False, sensor)
+            end = yield from _from_there(white_box, window, prior, floor, before)
+            if end is not None and not any(_is_near(one.fit, end.fit) for one in own_ends):
+                own_ends.append(end)
+        ends += own_ends
+        starts = [end.fit.theta for end in own_ends]
+    ends = [end for end in ends if end.explains and not end.speed_leads]
     if not ends:
         return None
-    best = min(ends, key=lambda end: (end.speed_leads, end.cost))
-    if not best.explains:
-        return best
+    best = min(ends, key=lambda end: end.cost)
+    if not best.shows_lag:
+        return None
+    ends.remove(best)
     for share in DELAYS:
         late_window = window.delayed(share * best.current_lag()[0])
-        before = FitBefore(best.fit.theta, 0.0, best.noise.unit_a_s, has_rivals=False)
-        start = [best.fit.theta]
-        other = yield from _settled(white_box, late_window, prior, start, floor, before)
-        if other is not None and other.explains and not other.speed_leads:
+        before = FitBefore(best.fit.theta, 0.0, best.noise.unit_a_s, False)
+        late = yield from _from_there(white_box, late_window, prior, floor, before)
+        if late is None or not late.explains:
+            continue
+        if not late.speed_leads or late.cost < best.cost:  # the voltage is late, or the current
             return None
-    others = [end for end in ends if end is not best and end.explains and not end.speed_leads]
-    worse = [end.cost - best.cost for end in others]
-    return replace(best, fit=with_rivals(best.fit, [end.fit for end in others], worse, prior))
+        ends.append(late)
+    worse = [end.cost - best.cost for end in ends]
+    own_sensor = best.window.unknowns.current_sensor
+    is_sure = all(
+        difference > RIVAL
+        for end, difference in zip(ends, worse, strict=True)
+        if _is_other_kind(end, best)
+    )
+    assert own_sensor is not None
+    unknowns = replace(best.window.unknowns, current_sensor=replace(own_sensor, is_sure=is_sure))
+    fit = with_rivals(best.fit, [end.fit for end in ends], worse, prior)
+    return replace(best, fit=fit, window=replace(best.window, unknowns=unknowns))
+
+
+def _is_other_kind(end: OutputFit, best: OutputFit) -> bool:
+    """Tell whether two fits differ in what delays the current."""
+    own = best.window.unknowns.current_sensor
+    other = end.window.unknowns.current_sensor
+    return own is None or other is None or own.is_digital != other.is_digital
+
+
+def _from_there(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, floor: OutputNoise, before: FitBefore
+) -> Pieces[OutputFit | None]:
+    """Fit from one place alone, under a constant load."""
+    start = [before.theta]
+    return (yield from _settled(white_box, window, prior, start, floor, before, before.sensor))
 
 
 def _loaded(

@@ -36,6 +36,9 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+MOST_LAG_WORK = 6 * SAVED
+"""The same of a search for a filter of the current."""
+
 BEHIND_LAG = 2e-3
 """Share of every parameter that is open behind a lag: a filter is never quite of first order."""
 
@@ -57,7 +60,6 @@ class OutputLearner(WindowLearner):
         walk: of the load.
         unit_a_s: noise of the current over that of the speed; 0: not known.
         current_lag_s: of the current sensor; 0: it does not lag, or was never fitted.
-        smoothing_weight: of the newest value in the moving average that the current is; 0: none.
         sensor: of the current, where it lags; None: it does not.
         finds_lag: whether a lag of the current sensor is looked for.
     """
@@ -74,7 +76,6 @@ class OutputLearner(WindowLearner):
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self.output_fit: OutputFit | None = None
         self.walk = self.unit_a_s = self.current_lag_s = 0.0
-        self.smoothing_weight = 0.0
         self.sensor: CurrentSensor | None = None
         self.finds_lag = True
         self._newest_fit: OutputFit | None = None  # of the fit under way
@@ -92,7 +93,6 @@ class OutputLearner(WindowLearner):
         if self._newest_fit is not None:
             self.unit_a_s = self._newest_fit.noise.unit_a_s
             self.current_lag_s = self._newest_fit.current_lag()[0]
-            self.smoothing_weight = self._newest_fit.smoothing_weight
             self.sensor = self._newest_fit.sensor
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
@@ -102,15 +102,23 @@ class OutputLearner(WindowLearner):
         not show, nor a part of the lag that is a delay.
         """
         has_fit = yield from super().learn(window, is_full=is_full)
+        if has_fit:
+            self.covariance += self._open_behind_lag()
+        return has_fit
+
+    def _remember(self, covariance: Array) -> None:
+        super()._remember(covariance + self._open_behind_lag())
+
+    def _open_behind_lag(self) -> Array:
+        """Return what a lag of the current leaves open, as a covariance of the logarithms."""
+        spread = np.zeros((self.logarithms.size, self.logarithms.size))
         fit = self._newest_fit
         lag_s = 0.0 if fit is None else fit.current_lag()[0]
-        if has_fit and lag_s > 0.0:
-            values = self._white_box.values(self.theta)
+        if fit is not None and lag_s > 0.0:
+            np.fill_diagonal(spread, BEHIND_LAG**2)
             place = self._white_box.context_nodes.index('inductance')
-            share = lag_s * values['resistance'] / values['inductance']
-            self.covariance[place, place] += share**2
-            self.covariance += BEHIND_LAG**2 * np.eye(self.theta.size)
-        return has_fit
+            spread[place, place] += (lag_s / fit.fit.runs.winding_s) ** 2
+        return spread
 
     def window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories with their speed."""
@@ -121,7 +129,7 @@ class OutputLearner(WindowLearner):
     ) -> Pieces[Fit | None]:
         box = self._white_box
         part_fit = self._newest_fit
-        if part_fit is not None and part_fit.current_lag()[0] > 0.0:  # of a part of these samples
+        if part_fit is not None and part_fit.current_lag()[0] > 0.0:  # of these, or a part of them
             search = fit_outputs_again(box, window, prior, FitBefore.from_fit(part_fit))
             fit = yield from bounded(search, MOST_WORK)
             if fit is not None and fit.explains and not fit.speed_leads:
@@ -166,13 +174,8 @@ class OutputLearner(WindowLearner):
             prior: decides what they leave open.
             lead: a fit whose speed comes before the current, or whose lag has rivals.
         """
-        ends = []
-        for is_digital in (False, True):
-            search = fit_lagging(self._white_box, window, prior, lead, is_digital=is_digital)
-            fit = yield from bounded(search, MOST_WORK)
-            if fit is not None and fit.explains and fit.shows_lag and not fit.speed_leads:
-                ends.append(fit)
-        return min(ends, key=lambda end: end.cost, default=None)
+        search = fit_lagging(self._white_box, window, prior, lead)
+        return (yield from bounded(search, MOST_LAG_WORK))
 
     def _noted(self, fit: OutputFit | None) -> Fit | None:
         self._newest_fit = fit
@@ -227,16 +230,6 @@ class OutputUpdate(RotorUpdate):
         return self._learner.output_fit
 
     @property
-    def current_lag_s(self) -> float:
-        """Lag of the current sensor in s; 0 where none was found."""
-        return self._learner.current_lag_s
-
-    @property
-    def smoothing_weight(self) -> float:
-        """Weight of the newest value in the moving average that the current is; 0: it is none."""
-        return self._learner.smoothing_weight
-
-    @property
     def is_in_doubt(self) -> bool:
         """Whether what explained the motor before does not explain the samples being fitted."""
         return self._learner.is_in_doubt
@@ -285,7 +278,6 @@ class OutputUpdate(RotorUpdate):
             'walk': np.array([self._learner.walk]),
             'unit': np.array([self._learner.unit_a_s]),
             'current_lag': np.array([self._learner.current_lag_s]),
-            'smoothing_weight': np.array([self._learner.smoothing_weight]),
             **_sensor_arrays(self._learner.sensor),
         }
 
@@ -295,8 +287,10 @@ class OutputUpdate(RotorUpdate):
         self._learner.walk = float(arrays['walk'][0])
         self._learner.unit_a_s = _number(arrays, 'unit')
         self._learner.current_lag_s = _number(arrays, 'current_lag')
-        self._learner.smoothing_weight = _number(arrays, 'smoothing_weight')
         self._learner.sensor = _restored_sensor(arrays)
+        if not self._learner.finds_lag:
+            self._learner.current_lag_s = 0.0
+            self._learner.sensor = None
         super().restore(plain, arrays, motor)
         self._learner.output_fit = None
         if self.replay.stored(0):
@@ -307,7 +301,8 @@ def _sensor_arrays(sensor: CurrentSensor | None) -> dict[str, Array]:
     """Return a current sensor that lags as arrays of a state; none without one."""
     if sensor is None:
         return {}
-    return {_SENSOR: np.array([sensor.sum_s, sensor.memory, float(sensor.is_digital)])}
+    flags = (float(sensor.is_digital), float(sensor.is_sure))
+    return {_SENSOR: np.array([sensor.sum_s, sensor.memory, *flags])}
 
 
 def _restored_sensor(arrays: dict[str, Array]) -> CurrentSensor | None:
@@ -318,9 +313,10 @@ def _restored_sensor(arrays: dict[str, Array]) -> CurrentSensor | None:
     """
     if _SENSOR not in arrays:
         return None
-    check_arrays(arrays, {_SENSOR: ArrayRule((3,), 0.0)})
-    sum_s, memory, is_digital = arrays[_SENSOR].tolist()
-    return CurrentSensor(sum_s, min(memory, LONGEST_MEMORY), bool(is_digital))
+    check_arrays(arrays, {_SENSOR: ArrayRule((4,), 0.0)})
+    sum_s, memory, is_digital, is_sure = arrays[_SENSOR].tolist()
+    memory = min(memory, LONGEST_MEMORY)
+    return CurrentSensor(sum_s, memory, bool(is_digital), bool(is_sure))
 
 
 def _number(arrays: dict[str, Array], name: str) -> float:

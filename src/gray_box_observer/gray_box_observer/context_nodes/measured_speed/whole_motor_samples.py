@@ -11,14 +11,15 @@ from gray_box_observer.white_box.interface import Array
 def as_of_motor(samples: Array, fit: OutputFit) -> Array:
     """Return samples with the speed that their fit gives, and a current that does not lag.
 
-    The current keeps its noise, which the fit test looks at.
+    The current keeps, of its noise, what is new at every sample: what the filter's memory brings is
+    taken off. A history too short to be fitted keeps both readings.
 
     Args:
         samples: shape (signal, n): those of the fit.
         fit: of current and speed.
 
     Returns:
-        Shape (signal, n); a history too short to be fitted keeps its measured speed.
+        Shape (signal, n).
     """
     result = samples.copy()
     runs = fit.fit.runs

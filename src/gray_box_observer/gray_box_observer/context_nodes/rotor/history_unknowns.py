@@ -71,11 +71,14 @@ class CurrentSensor:
             too.
         is_digital: whether the filter is a moving average of the samples, in which every one
             weighs less than the next by the same factor.
+        is_sure: whether no other kind of filter, nor a current that is merely late, explains the
+            samples nearly as well.
     """
 
     sum_s: float
     memory: float = 0.0
     is_digital: bool = False
+    is_sure: bool = False
 
     def whitened(self, signal: Array) -> Array:
         """Return what a signal has beyond the memory of its noise, of its shape.
