@@ -13,6 +13,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.rotor.window import delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import LATE
@@ -249,13 +250,11 @@ def _delayed(content: Array, delay_s: float) -> Array:
         content: the samples.
         delay_s: by how much.
     """
-    ends_s = np.cumsum(content[INTERVAL, 0])
-    volt_seconds = np.concatenate([[0.0], np.cumsum(content[INTERVAL, 0] * content[VOLTAGE, 0])])
-    times_s = np.concatenate([[0.0], ends_s])
-    late = np.interp(times_s - delay_s, times_s, volt_seconds)
-    is_whole = content[INTERVAL, 0] > 0.0
+    interval_s = content[INTERVAL, 0]
+    is_whole = interval_s > 0.0
+    late_v = delayed_voltage(content[VOLTAGE, 0], interval_s, delay_s)
     result = content.copy()
-    result[VOLTAGE, 0, is_whole] = (np.diff(late) / np.maximum(np.diff(times_s), 1e-12))[is_whole]
+    result[VOLTAGE, 0, is_whole] = late_v[is_whole]
     return result
 
 

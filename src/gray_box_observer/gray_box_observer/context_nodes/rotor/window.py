@@ -206,7 +206,7 @@ class Window:
     def delayed(self, delay_s: float) -> Window:
         """Return the samples with voltages that act later by a delay."""
         late = [
-            replace(one, voltage_v=_delayed(one.voltage_v, one.interval_s, delay_s))
+            replace(one, voltage_v=delayed_voltage(one.voltage_v, one.interval_s, delay_s))
             for one in self.histories
         ]
         return replace(self, histories=tuple(late))
@@ -218,13 +218,19 @@ class Window:
         return np.array([REACH[0] * largest, REACH[1] * fastest])
 
 
-def _delayed(voltage_v: Array, interval_s: Array, delay_s: float) -> Array:
-    """Return the means over every interval of a voltage that acts later, shape (k,)."""
+def delayed_voltage(voltage_v: Array, interval_s: Array, delay_s: float) -> Array:
+    """Return the means over every interval of a voltage that acts later, shape (k,), in V.
+
+    Args:
+        voltage_v: shape (k,): mean over every interval, as it is stamped.
+        interval_s: shape (k,).
+        delay_s: by how much it acts later; the first one has been held before.
+    """
     time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
     volt_seconds = np.concatenate([[0.0], np.cumsum(voltage_v * interval_s)])
-    before = time_s - delay_s
-    late = np.interp(before, time_s, volt_seconds) + voltage_v[0] * np.minimum(before, 0.0)
-    return np.asarray(np.diff(late) / interval_s, dtype=float)
+    before_s = time_s - delay_s
+    late = np.interp(before_s, time_s, volt_seconds) + voltage_v[0] * np.minimum(before_s, 0.0)
+    return np.asarray(np.diff(late) / np.maximum(interval_s, 1e-12), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
