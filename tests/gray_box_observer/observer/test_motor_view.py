@@ -32,6 +32,7 @@ def test_of_a_misfit_a_delay_is_told_only_where_it_is_the_likeliest(
         fit_of=lambda place: fit,
         delay_of=lambda place: delay,
         configuration_of=lambda place: SimpleNamespace(name='wheel'),
+        context_nodes=None,
     )
     view = MotorView(cast('Any', stub), 0)
     said = view.delay_complaint
