@@ -579,7 +579,9 @@ def test_so_is_any_other_in_the_process_of_the_test(end_here, parameters, words)
 def check_one_line(ended: tuple[int, str, str], words: str) -> None:
     """Check that a start has ended with code 2 and one line that says why."""
     code, out, said = ended
-    assert (code, out) == (2, '')
+    assert code == 2
+    # the middleware may tell there of a port in shared memory that another one holds
+    assert all('RTPS_TRANSPORT_SHM' in line for line in out.splitlines())
     assert said.startswith('observer: error: ')
     assert words in said
     assert said.count('\n') == 1
