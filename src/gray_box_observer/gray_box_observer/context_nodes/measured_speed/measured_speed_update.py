@@ -401,7 +401,7 @@ class MeasuredSpeedUpdate:
             self.published_mechanics.note_failure()
             samples = samples[:, -fit.window.count :]  # the newest alone may have been fitted
         is_late = self._comparison.is_late(fit)
-        is_lagging = fit.current_lag()[0] > 0.0
+        is_lagging = fit.current_lag_s > 0.0
         if not (self._is_noisy or fit.shows_noise or is_late or is_lagging):
             return False
         self._comparison.compare(samples, fit, is_noisy=self._is_noisy)
@@ -414,7 +414,7 @@ class MeasuredSpeedUpdate:
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         samples = as_of_motor(samples, fit)
-        self._current_lag_s = fit.current_lag()[0]
+        self._current_lag_s = fit.current_lag_s
         self._smoothing_weight = fit.smoothing_weight
         self._samples = remembering(samples, place, self.present_since(motor=0))
         self._shares = self._measured_shares(samples, fit)

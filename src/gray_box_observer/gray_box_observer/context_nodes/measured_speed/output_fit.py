@@ -174,16 +174,16 @@ class OutputFit:
     def sensor(self) -> CurrentSensor | None:
         """The current sensor, where it lags, as it was found; None: it does not."""
         sensor = self.window.unknowns.current_sensor
-        lag_s = self.current_lag()[0]
-        if sensor is None or not lag_s:
+        if sensor is None or not self.current_lag_s:
             return None
-        return replace(sensor, sum_s=lag_s + self.fit.runs.winding_s)
+        return replace(sensor, sum_s=self.current_lag_s + self.fit.runs.winding_s)
 
     @property
     def shows_lag(self) -> bool:
         """Whether the current sensor lags, and by more than chance."""
-        lag_s, std_s = self.current_lag()
-        return lag_s > max(LEAST_LAG * self.window.interval_s, LEAD_STDS * std_s)
+        lag_s = self.current_lag_s
+        place = self.window.unknowns.current_lag
+        return lag_s > LEAST_LAG * self.window.interval_s and lag_s > LEAD_STDS * self._std(place)
 
     @property
     def smoothing_weight(self) -> float:
@@ -191,7 +191,7 @@ class OutputFit:
         sensor = self.sensor
         if sensor is None or not (sensor.is_digital and sensor.is_sure):
             return 0.0
-        return float(-np.expm1(-self.window.interval_s / self.current_lag()[0]))
+        return float(-np.expm1(-self.window.interval_s / self.current_lag_s))
 
     @property
     def memory(self) -> float:
@@ -200,7 +200,7 @@ class OutputFit:
         It is at most what the filter leaves of a reading after an interval: noise that passes it
         remembers so much, and what remembers more is no noise.
         """
-        lag_s = self.current_lag()[0]
+        lag_s = self.current_lag_s
         if not lag_s:
             return 0.0
         product = power = 0.0
@@ -227,8 +227,8 @@ class OutputFit:
     @property
     def speed_leads(self) -> bool:
         """Whether the speed comes before the current, which then is the one that is late."""
-        lag_s, std_s = self.lag()
-        return lag_s < -max(LEAD * self.window.interval_s, LEAD_STDS * std_s)
+        lead_s = -self._of_longest(LAG)
+        return lead_s > LEAD * self.window.interval_s and lead_s > LEAD_STDS * self._std(LAG)
 
     @property
     def shows_noise(self) -> bool:
@@ -244,30 +244,34 @@ class OutputFit:
 
     def lag(self) -> tuple[float, float]:
         """Return the lag of the speed in the longest history in s, and its standard deviation."""
-        return self._unknown(LAG)
+        return self._of_longest(LAG), self._std(LAG)
 
-    def current_lag(self) -> tuple[float, float]:
-        """Return the lag of the current in the longest history in s, and its standard deviation.
-
-        Both are 0 where the sensor does not lag.
-        """
+    @property
+    def current_lag_s(self) -> float:
+        """Lag of the current sensor in the longest history in s; 0 where it does not lag."""
         unknowns = self.window.unknowns
         if unknowns.current_sensor is None:
-            return 0.0, 0.0
-        lag_s, std_s = self._unknown(unknowns.current_lag)
-        return max(lag_s, 0.0), std_s
+            return 0.0
+        return max(self._of_longest(unknowns.current_lag), 0.0)
 
-    def _unknown(self, place: int) -> tuple[float, float]:
-        """Return an unknown of the longest history, and its standard deviation."""
-        sizes = [history.current_a.size for history in self.window.histories]
-        row = int(np.argmax(sizes))
-        of_history = self.fit.runs.derivatives[row]
-        by_lag = of_history[:, place]
+    @property
+    def _longest(self) -> int:
+        """Place of the longest history."""
+        return int(np.argmax([history.current_a.size for history in self.window.histories]))
+
+    def _of_longest(self, place: int) -> float:
+        """Return an unknown of the longest history."""
+        return float(self.fit.starts[self._longest, place])
+
+    def _std(self, place: int) -> float:
+        """Return the standard deviation of an unknown of the longest history."""
+        of_history = self.fit.runs.derivatives[self._longest]
+        by_unknown = of_history[:, place]
         others = np.delete(of_history, place, axis=1)
         others /= np.linalg.norm(others, axis=0) + 1e-300
-        distinct = by_lag - others @ np.linalg.lstsq(others, by_lag, rcond=1e-12)[0]
+        distinct = by_unknown - others @ np.linalg.lstsq(others, by_unknown, rcond=1e-12)[0]
         size = float(np.linalg.norm(distinct)) + 1e-300
-        return float(self.fit.starts[row, place]), self.fit.noise_a / size
+        return float(self.fit.noise_a / size)
 
 
 def fit_outputs(
@@ -351,11 +355,7 @@ def fit_outputs_again(
         walk_fit = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
-    return (
-        yield from _settled(
-            white_box, window, prior, [before.theta], floor, last_fit=before, sensor=before.sensor
-        )
-    )
+    return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
 
 
 def _settled(
@@ -365,7 +365,6 @@ def _settled(
     starts: Sequence[Array],
     floor: OutputNoise,
     last_fit: FitBefore | None = None,
-    sensor: CurrentSensor | None = None,
     *,
     stops_at_lead: bool = False,
 ) -> Pieces[OutputFit | None]:
@@ -377,14 +376,14 @@ def _settled(
         prior: decides what the samples leave open.
         starts: shape (parameter,) each: where to search from.
         floor: the least noise that the readings show.
-        last_fit: of the window before; None: there was none.
-        sensor: of the current, where it lags.
+        last_fit: what is known of the motor, with the sensor of the current; None: nothing is.
         stops_at_lead: whether to end as soon as the speed comes before the current.
     """
     result = None
     is_known = last_fit is not None and last_fit.unit_a_s > 0.0
     output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
     tries_others = last_fit is None or last_fit.has_rivals
+    sensor = None if last_fit is None else last_fit.sensor
     for _ in range(ROUNDS):
         window = replace(window, unknowns=Unknowns(output, current_sensor=sensor))
         fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
@@ -429,7 +428,7 @@ def fit_lagging(
     floor = _floor(window)
     place = white_box.context_nodes.index('inductance')
     winding_s = plain.fit.runs.winding_s
-    lag_s = plain.current_lag()[0]
+    lag_s = plain.current_lag_s
     sum_s = winding_s + lag_s
     starts = []
     for share in (winding_s / sum_s, lag_s / sum_s) if lag_s else SHARES:
@@ -442,7 +441,7 @@ def fit_lagging(
         own_ends: list[OutputFit] = []
         for theta in starts:
             before = FitBefore(theta, 0.0, plain.noise.unit_a_s, False, sensor)
-            end = yield from _from_there(white_box, window, prior, floor, before)
+            end = yield from _settled(white_box, window, prior, [theta], floor, before)
             if end is not None and not any(_is_near(one.fit, end.fit) for one in own_ends):
                 own_ends.append(end)
         ends += own_ends
@@ -455,9 +454,9 @@ def fit_lagging(
         return None
     ends.remove(best)
     for share in DELAYS:
-        late_window = window.delayed(share * best.current_lag()[0])
+        late_window = window.delayed(share * best.current_lag_s)
         before = FitBefore(best.fit.theta, 0.0, best.noise.unit_a_s, False)
-        late = yield from _from_there(white_box, late_window, prior, floor, before)
+        late = yield from _settled(white_box, late_window, prior, [before.theta], floor, before)
         if late is None or not late.explains:
             continue
         if not late.speed_leads or late.cost < best.cost:  # the voltage is late, or the current
@@ -481,14 +480,6 @@ def _is_other_kind(end: OutputFit, best: OutputFit) -> bool:
     own = best.window.unknowns.current_sensor
     other = end.window.unknowns.current_sensor
     return own is None or other is None or own.is_digital != other.is_digital
-
-
-def _from_there(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, floor: OutputNoise, before: FitBefore
-) -> Pieces[OutputFit | None]:
-    """Fit from one place alone, under a constant load."""
-    start = [before.theta]
-    return (yield from _settled(white_box, window, prior, start, floor, before, before.sensor))
 
 
 def _loaded(

@@ -59,7 +59,6 @@ class OutputLearner(WindowLearner):
         output_fit: of the newest window; None before the first fit, and where none was found.
         walk: of the load.
         unit_a_s: noise of the current over that of the speed; 0: not known.
-        current_lag_s: of the current sensor; 0: it does not lag, or was never fitted.
         sensor: of the current, where it lags; None: it does not.
         finds_lag: whether a lag of the current sensor is looked for.
     """
@@ -75,7 +74,7 @@ class OutputLearner(WindowLearner):
     ) -> None:
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self.output_fit: OutputFit | None = None
-        self.walk = self.unit_a_s = self.current_lag_s = 0.0
+        self.walk = self.unit_a_s = 0.0
         self.sensor: CurrentSensor | None = None
         self.finds_lag = True
         self._newest_fit: OutputFit | None = None  # of the fit under way
@@ -92,8 +91,15 @@ class OutputLearner(WindowLearner):
         self.walk = self._tried_walk
         if self._newest_fit is not None:
             self.unit_a_s = self._newest_fit.noise.unit_a_s
-            self.current_lag_s = self._newest_fit.current_lag()[0]
             self.sensor = self._newest_fit.sensor
+
+    @property
+    def current_lag_s(self) -> float:
+        """Lag of the current sensor in s, as it was found; 0: it does not lag."""
+        if self.sensor is None:
+            return 0.0
+        values = self._white_box.values(self.theta)
+        return self.sensor.sum_s - float(values['inductance'] / values['resistance'])
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; tell whether a fit was found.
@@ -113,7 +119,7 @@ class OutputLearner(WindowLearner):
         """Return what a lag of the current leaves open, as a covariance of the logarithms."""
         spread = np.zeros((self.logarithms.size, self.logarithms.size))
         fit = self._newest_fit
-        lag_s = 0.0 if fit is None else fit.current_lag()[0]
+        lag_s = 0.0 if fit is None else fit.current_lag_s
         if fit is not None and lag_s > 0.0:
             np.fill_diagonal(spread, BEHIND_LAG**2)
             place = self._white_box.context_nodes.index('inductance')
@@ -129,7 +135,7 @@ class OutputLearner(WindowLearner):
     ) -> Pieces[Fit | None]:
         box = self._white_box
         part_fit = self._newest_fit
-        if part_fit is not None and part_fit.current_lag()[0] > 0.0:  # of these, or a part of them
+        if part_fit is not None and part_fit.current_lag_s > 0.0:  # of these, or a part of them
             search = fit_outputs_again(box, window, prior, FitBefore.from_fit(part_fit))
             fit = yield from bounded(search, MOST_WORK)
             if fit is not None and fit.explains and not fit.speed_leads:
@@ -152,12 +158,12 @@ class OutputLearner(WindowLearner):
         before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
         fit = yield from fit_outputs_again(self._white_box, window, prior, before)
-        if fit is not None and fit.current_lag()[0] < LESS_LAG * self.current_lag_s:
+        if fit is not None and fit.current_lag_s < LESS_LAG * self.current_lag_s:
             before = replace(before, sensor=None)  # the filter may have been taken off
             plain = yield from fit_outputs_again(self._white_box, window, prior, before)
             fit = plain if plain is not None and plain.explains else fit
         is_open = fit is not None and (
-            fit.speed_leads or (fit.current_lag()[0] > 0.0 and self.has_rivals)
+            fit.speed_leads or (fit.current_lag_s > 0.0 and self.has_rivals)
         )
         if fit is not None and self.finds_lag and is_open:
             late_fit = yield from self._behind_lag(window, prior, fit)
@@ -277,7 +283,6 @@ class OutputUpdate(RotorUpdate):
         return plain, arrays | {
             'walk': np.array([self._learner.walk]),
             'unit': np.array([self._learner.unit_a_s]),
-            'current_lag': np.array([self._learner.current_lag_s]),
             **_sensor_arrays(self._learner.sensor),
         }
 
@@ -285,12 +290,12 @@ class OutputUpdate(RotorUpdate):
         """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
         check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
         self._learner.walk = float(arrays['walk'][0])
-        self._learner.unit_a_s = _number(arrays, 'unit')
-        self._learner.current_lag_s = _number(arrays, 'current_lag')
-        self._learner.sensor = _restored_sensor(arrays)
-        if not self._learner.finds_lag:
-            self._learner.current_lag_s = 0.0
-            self._learner.sensor = None
+        self._learner.unit_a_s = 0.0
+        if 'unit' in arrays:  # not in files of releases that did not remember it
+            check_arrays(arrays, {'unit': ArrayRule((1,), 0.0)})
+            self._learner.unit_a_s = float(arrays['unit'][0])
+        sensor = _restored_sensor(arrays)
+        self._learner.sensor = sensor if self._learner.finds_lag else None
         super().restore(plain, arrays, motor)
         self._learner.output_fit = None
         if self.replay.stored(0):
@@ -317,11 +322,3 @@ def _restored_sensor(arrays: dict[str, Array]) -> CurrentSensor | None:
     sum_s, memory, is_digital, is_sure = arrays[_SENSOR].tolist()
     memory = min(memory, LONGEST_MEMORY)
     return CurrentSensor(sum_s, memory, bool(is_digital), bool(is_sure))
-
-
-def _number(arrays: dict[str, Array], name: str) -> float:
-    """Return a number of a state; 0 where it is of a release that did not remember it."""
-    if name not in arrays:
-        return 0.0
-    check_arrays(arrays, {name: ArrayRule((1,), 0.0)})
-    return float(arrays[name][0])
