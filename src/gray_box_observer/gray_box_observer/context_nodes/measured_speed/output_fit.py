@@ -2,7 +2,7 @@
 
 What one ampere of the current's residual counts for in speed is found by fitting again: the noise
 of either output is what its own residual leaves. Where a constant load does not explain both
-outputs, a current sensor that lags is tried, then a load that walks at random.
+outputs, one that walks at random is tried.
 """
 
 from __future__ import annotations
@@ -35,12 +35,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import (
-    RIVAL,
-    fit_window,
-    search_from,
-    with_rivals,
-)
+from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
@@ -92,12 +87,6 @@ CHANCE = 3.0
 
 LONGEST_MEMORY = 0.95
 """Longest memory that is believed to be that of noise."""
-
-SHARES = (0.7, 0.3)
-"""Shares of what L/R is without a lag that are the winding's where a search begins."""
-
-DELAYS = (0.8, 1.0)
-"""Delays of the voltage that a lag of the current is compared with, as shares of it."""
 
 IDLE = 0.01
 """Squared distance, in standard deviations, of two ends that are the same."""
@@ -292,7 +281,7 @@ def fit_outputs(
         starts: shape (parameter,) each: where to search from.
         walk: variance that the load has gained in a second before; 0: it was constant.
         stops_at_lead: whether to end as soon as the speed comes before the current, as it does
-            where the sensor of the current lags (:func:`fit_lagging`).
+            where the sensor of the current lags (``filter_fit``).
     """
     floor = _floor(window)
     if walk > 0.0:
@@ -399,7 +388,7 @@ def _settled(
             memory = result.memory
             is_settled &= abs(memory - sensor.memory) < SAME_MEMORY
             sensor = replace(sensor, memory=memory)
-        if is_settled and (is_known or (before is not None and _is_near(before.fit, fit))):
+        if is_settled and (is_known or (before is not None and is_same_end(before.fit, fit))):
             break
         if is_settled:
             ratio = 1.0
@@ -407,79 +396,6 @@ def _settled(
         starts = [fit.theta]
         tries_others = bool(fit.spread.any())  # rivals need another unit too
     return result
-
-
-def fit_lagging(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, plain: OutputFit
-) -> Pieces[OutputFit | None]:
-    """Fit with a current that passes a filter; None where that is not told.
-
-    Of the two time constants, L/R and the filter's, either may be the longer one: the search begins
-    with both orders. In the wrong one the speed may come before the current still, and it is none
-    then. The filter may be analogue, or a moving average of the samples. The likeliest end counts,
-    and others that are nearly as likely widen it.
-
-    Args:
-        white_box: of one motor with a rotor.
-        window: samples with speed.
-        prior: decides what the samples leave open.
-        plain: the fit without a filter, or with the wrong one.
-    """
-    floor = _floor(window)
-    place = white_box.context_nodes.index('inductance')
-    winding_s = plain.fit.runs.winding_s
-    lag_s = plain.current_lag_s
-    sum_s = winding_s + lag_s
-    starts = []
-    for share in (winding_s / sum_s, lag_s / sum_s) if lag_s else SHARES:
-        theta = plain.fit.theta.copy()
-        theta[place] *= share * sum_s / winding_s
-        starts.append(theta)
-    ends: list[OutputFit] = []
-    for is_digital in (False, True):
-        sensor = CurrentSensor(sum_s, is_digital=is_digital)
-        own_ends: list[OutputFit] = []
-        for theta in starts:
-            before = FitBefore(theta, 0.0, plain.noise.unit_a_s, False, sensor)
-            end = yield from _settled(white_box, window, prior, [theta], floor, before)
-            if end is not None and not any(_is_near(one.fit, end.fit) for one in own_ends):
-                own_ends.append(end)
-        ends += own_ends
-        starts = [end.fit.theta for end in own_ends]
-    ends = [end for end in ends if end.explains and not end.speed_leads]
-    if not ends:
-        return None
-    best = min(ends, key=lambda end: end.cost)
-    if not best.shows_lag:
-        return None
-    ends.remove(best)
-    for share in DELAYS:
-        late_window = window.delayed(share * best.current_lag_s)
-        before = FitBefore(best.fit.theta, 0.0, best.noise.unit_a_s, False)
-        late = yield from _settled(white_box, late_window, prior, [before.theta], floor, before)
-        if late is None or not late.explains:
-            continue
-        if not late.speed_leads or late.cost < best.cost:  # the voltage is late, or the current
-            return None
-        ends.append(late)
-    worse = [end.cost - best.cost for end in ends]
-    own_sensor = best.window.unknowns.current_sensor
-    is_sure = all(
-        difference > RIVAL
-        for end, difference in zip(ends, worse, strict=True)
-        if _is_other_kind(end, best)
-    )
-    assert own_sensor is not None
-    unknowns = replace(best.window.unknowns, current_sensor=replace(own_sensor, is_sure=is_sure))
-    fit = with_rivals(best.fit, [end.fit for end in ends], worse, prior)
-    return replace(best, fit=fit, window=replace(best.window, unknowns=unknowns))
-
-
-def _is_other_kind(end: OutputFit, best: OutputFit) -> bool:
-    """Tell whether two fits differ in what delays the current."""
-    own = best.window.unknowns.current_sensor
-    other = end.window.unknowns.current_sensor
-    return own is None or other is None or own.is_digital != other.is_digital
 
 
 def _loaded(
@@ -518,7 +434,7 @@ def _result(fit: Fit, window: Window, floor: OutputNoise) -> OutputFit:
     return OutputFit(fit, window, noise, _floor_of_residual(fit, floor))
 
 
-def _is_near(before: Fit, after: Fit) -> bool:
+def is_same_end(before: Fit, after: Fit) -> bool:
     """Tell whether a search from where another ended has gone nowhere."""
     apart = after.logarithms - before.logarithms
     return bool(apart @ after.information @ apart < IDLE)

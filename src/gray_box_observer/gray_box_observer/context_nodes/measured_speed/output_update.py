@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.estimate import VerdictSettings
+from gray_box_observer.context_nodes.measured_speed.filter_fit import fit_lagging
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
     LONGEST_MEMORY,
     FitBefore,
     OutputFit,
-    fit_lagging,
     fit_outputs,
     fit_outputs_again,
 )
