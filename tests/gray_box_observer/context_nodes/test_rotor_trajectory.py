@@ -15,6 +15,7 @@ from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.context_nodes.rotor import held_rotor, rotor_trajectory
 from gray_box_observer.context_nodes.rotor.coordinates import WholeMotor, coordinates, slopes
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
+    OneInterval,
     Run,
     by_knot,
     current_response,
@@ -326,6 +327,23 @@ def test_compiled_code_and_python_carry_the_same_load() -> None:
     np.testing.assert_allclose(both[0].states, both[1].states, rtol=1e-10, atol=1e-11)
     fast, slow = (by_knot(both[0], places, 4, is_compiled=compiled) for compiled in (True, False))
     np.testing.assert_allclose(fast, slow, rtol=1e-10, atol=1e-12 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+@pytest.mark.parametrize('load', [0.0, 900.0])
+def test_an_interval_followed_by_itself_ends_as_in_a_run(compiled: bool, load: float) -> None:
+    p = coordinates(BOX, THETA)
+    interval = OneInterval(KT, p, is_compiled=compiled)
+    at = np.array([0.1, 3.0])
+    limits = (float(LIMITS[0]), float(LIMITS[1]))
+    for volt, length_s in ((6.0, 1e-3), (-12.0, 1e-2), (0.0, 0.3)):
+        signals = (np.array([volt]), np.array([length_s]), LIMITS, np.array([load]))
+        path = run(KT, p, at, *signals, is_compiled=compiled)
+        end = interval.end(at, volt, length_s, limits, load)
+        assert end is not None
+        np.testing.assert_array_equal(end, path.states[1])
+        at = end
+    assert interval.end(at, 6.0, 1e-3, (1e-9, 1e-9), load) is None
 
 
 @pytest.mark.parametrize('knot', range(4))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import LOAD, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import LOAD, OneInterval, run
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.held_speed import held_speed_current
@@ -89,7 +89,8 @@ class RotorPredictor(TorquePredictor):
     def __init__(self, white_box: MotorWhiteBox) -> None:
         super().__init__(white_box, 1, len(white_box.parameters), NoNetwork(), speed_measured=False)
         self._white_box = white_box
-        self._theta: Array | None = None
+        self._known_theta = b''
+        self._interval: OneInterval | None = None
         self._p = np.empty(0)
         self._values: dict[str, float] = {}
         self._states: Array | None = None
@@ -99,30 +100,31 @@ class RotorPredictor(TorquePredictor):
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> RotorPrediction:
         """Forecast the torque at the end of an interval; see :class:`TorquePredictor`."""
-        self._look_up(theta[0])
+        self._look_up(theta)
         length_s = float(interval_s[0])
         volt = float(voltage_v[0])
         start = self._states
         if start is None or not (length_s > 0.0 and math.isfinite(volt)):
             return _nothing()
-        end = self._moved(start, volt, np.array([length_s]))
+        end = self._moved(start, volt, length_s)
         if end is None:
             return _nothing()
-        torque_nm = self._torque(end[-1])
-        request = self._request(interval_s, volt, theta, start)
-        correction_nm, recollection = self.residual.correct(request, torque_nm)
+        torque_nm = self._torque(end)
+        correction_nm = None
+        if self.residual.is_active:
+            request = self._request(interval_s, volt, theta, start)
+            correction_nm, recollection = self.residual.correct(request, torque_nm)
         if correction_nm is None:
-            return RotorPrediction(torque_nm, lambda: torque_nm, None, None, states=end[-1])
+            return RotorPrediction(torque_nm, lambda: torque_nm, None, None, states=end)
         return RotorPrediction(
-            torque_nm + correction_nm, lambda: torque_nm, None, None, torque_nm, recollection,
-            end[-1],
-        )  # fmt: skip
+            torque_nm + correction_nm, lambda: torque_nm, None, None, torque_nm, recollection, end
+        )
 
     def forecast(
         self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None
     ) -> Array:
         """Forecast the torque after a held voltage; see :class:`TorquePredictor`."""
-        self._look_up(theta[0])
+        self._look_up(theta)
         start = self._states
         memory: Recollection | None = None
         if since is not None:
@@ -138,7 +140,7 @@ class RotorPredictor(TorquePredictor):
             if correction is None or not has_correction
             else correction.instants_s(horizon_s)
         )
-        path = self._moved(start, volt, _parts(instants_s))
+        path = self._path(start, volt, _parts(instants_s))
         if path is None:
             return np.full(1, np.nan)
         torque_nm = self._torque(path[-1])
@@ -187,7 +189,7 @@ class RotorPredictor(TorquePredictor):
     def _begun(self, sample: Sample, speed: SpeedEstimate | None) -> Array | None:
         """Return the states that a run begins with; None where the speed is not yet known."""
         self._wait_count += 1
-        if speed is None or self._theta is None:
+        if speed is None or self._interval is None:
             return None
         most = SURE * self._largest_v / self._values['back_emf_constant']
         if speed.std_rad_s > most and self._wait_count < LONGEST_WAIT:
@@ -197,30 +199,45 @@ class RotorPredictor(TorquePredictor):
         return states if np.isfinite(states).all() else None
 
     def _look_up(self, theta: Array) -> None:
-        """Work out what follows from the parameters, where they have changed."""
-        if self._theta is not None and np.array_equal(theta, self._theta):
+        """Work out what follows from the parameters, shape (1, parameter), where they changed."""
+        own_theta = theta.tobytes()
+        if own_theta == self._known_theta:
             return
-        self._theta = theta.copy()
+        self._known_theta = own_theta
         box = self._white_box
-        self._values = box.values(theta)
-        self._p = coordinates(box, theta)
+        self._values = box.values(theta[0])
+        self._p = coordinates(box, theta[0])
+        self._interval = OneInterval(float(box.torque_constant), self._p)
 
-    def _moved(self, start: Array, volt: float, parts_s: Array) -> Array | None:
-        """Follow a held voltage, shape (part + 1, state); None where the run leaves its bounds."""
-        values = self._values
-        largest_v = max(self._largest_v, abs(volt))
-        sizes = np.array(
-            [largest_v / values['resistance'], largest_v / values['back_emf_constant']]
-        )
-        limits = MOST * (sizes + np.abs(start))
+    def _moved(self, start: Array, volt: float, length_s: float) -> Array | None:
+        """Follow a held voltage, shape (state,); None where the run leaves its bounds."""
+        assert self._interval is not None  # it is looked up
+        limits = self._limits(start, volt)
+        return self._interval.end(start, volt, length_s, limits, self._further_load)
+
+    def _path(self, start: Array, volt: float, parts_s: Array) -> Array | None:
+        """The same part by part, shape (part + 1, state)."""
         volts = np.full(parts_s.size, volt)
-        load = None
-        if self._load_rad_s2 is not None:  # that of the parameters is in it
-            load = np.full(parts_s.size, self._load_rad_s2 - self._p[LOAD])
+        loads = np.full(parts_s.size, self._further_load)
+        limits = np.array(self._limits(start, volt))
         path = run(
-            float(self._white_box.torque_constant), self._p, start, volts, parts_s, limits, load
+            float(self._white_box.torque_constant), self._p, start, volts, parts_s, limits, loads
         )
         return path.states if path.is_bounded else None
+
+    def _limits(self, start: Array, volt: float) -> tuple[float, float]:
+        """Return absolute values of the states at which a run is given up."""
+        largest_v = max(self._largest_v, abs(volt))
+        current_a, speed_rad_s = start.tolist()
+        return (
+            MOST * (largest_v / self._values['resistance'] + abs(current_a)),
+            MOST * (largest_v / self._values['back_emf_constant'] + abs(speed_rad_s)),
+        )
+
+    @property
+    def _further_load(self) -> float:
+        """What a load takes of the acceleration, beside that of the parameters."""
+        return 0.0 if self._load_rad_s2 is None else self._load_rad_s2 - float(self._p[LOAD])
 
     def _torque(self, states: Array) -> Array:
         """Torque of states in N m, shape (motor,)."""

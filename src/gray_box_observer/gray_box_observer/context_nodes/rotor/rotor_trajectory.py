@@ -146,6 +146,71 @@ def run(
     return Run(states, derivatives, transitions, path == count, int(step_count[0]))
 
 
+class OneInterval:
+    """Follows one motor over a single interval, as :func:`run` does, and sooner.
+
+    What compiled code reads and writes is kept from one interval to the next.
+
+    Args:
+        torque_constant: Kt in N m/A.
+        p: shape (coordinate,): they do not change.
+        is_compiled: whether compiled code is used where there is any.
+    """
+
+    def __init__(self, torque_constant: float, p: Array, *, is_compiled: bool = True) -> None:
+        self._torque_constant = torque_constant
+        self._p = np.ascontiguousarray(p, dtype=float)
+        self._start = np.empty(STATES)
+        self._limits = np.empty(STATES)
+        self._signals = np.empty(3)  # voltage, length and load
+        self._states = np.empty((2, STATES))
+        self._derivatives = np.empty((2, STATES, STATES + COORDINATES))
+        self._transitions = np.empty((1, STATES, STATES))
+        self._step_count = np.zeros(1, dtype=np.int64)
+        self._library = native.library() if is_compiled else None
+        signals = native.pointer(self._signals)
+        self._signal_pointers = [signals + k * self._signals.itemsize for k in range(3)]
+        arrays = (self._p, self._start, self._limits)
+        self._inputs = [native.pointer(array) for array in arrays]
+        outputs = (self._states, self._derivatives, self._transitions)
+        self._outputs = [*map(native.pointer, outputs), address(self._step_count)]
+
+    def end(
+        self,
+        start: Array,
+        voltage_v: float,
+        length_s: float,
+        limits: tuple[float, float],
+        load_rad_s2: float,
+    ) -> Array | None:
+        """Return the states at the end of an interval; None where the run is given up.
+
+        Args:
+            start: shape (state,): current in A and speed in rad/s.
+            voltage_v: held over the interval.
+            length_s: how long it lasts.
+            limits: absolute values of the states at which the run is given up.
+            load_rad_s2: what a load takes of the acceleration, beside that of the coordinates.
+        """
+        self._start[:] = start
+        self._signals[:] = voltage_v, length_s, load_rad_s2
+        self._limits[:] = limits
+        if self._library is None:
+            volts, lengths, loads = self._signals[:, None]
+            path = run(
+                self._torque_constant, self._p, self._start, volts, lengths, self._limits, loads,
+                is_compiled=False,
+            )  # fmt: skip
+            return path.states[1] if path.is_bounded else None
+        to_p, to_start, to_limits = self._inputs
+        to_voltage, to_length, to_load = self._signal_pointers
+        path_count = self._library.whole_motor_follow(
+            to_p, self._torque_constant, to_start, 1, to_voltage, to_length, to_load, to_limits,
+            LARGEST_STEP, MOST_STEPS, LEAST_PATIENCE, *self._outputs,
+        )  # fmt: skip
+        return self._states[1].copy() if path_count == 1 else None
+
+
 def by_knot(path: Run, place: Array, knots: int, *, is_compiled: bool = True) -> Array:
     """Differentiate a run by the knots of a load that runs straight between them.
 

@@ -79,7 +79,7 @@ class _Motor:
     """What a filter needs of the parameters of a motor.
 
     Attributes:
-        theta: shape (parameter,): the parameters.
+        theta: the parameters, as bytes.
         p: coordinates of its motion.
         p_pointer: where compiled code finds them.
         resistance: in ohm.
@@ -87,7 +87,7 @@ class _Motor:
         time_s: mechanical time constant.
     """
 
-    theta: Array
+    theta: bytes
     p: Array
     p_pointer: int
     resistance: float
@@ -102,7 +102,7 @@ class _Motor:
         resistance = values['resistance']
         back_emf = values['back_emf_constant']
         time_s = values['inertia'] * resistance / (back_emf * float(white_box.torque_constant))
-        return cls(theta.copy(), p, native.pointer(p), resistance, back_emf, time_s)
+        return cls(theta.tobytes(), p, native.pointer(p), resistance, back_emf, time_s)
 
 
 class SpeedFilter:
@@ -174,9 +174,10 @@ class SpeedFilter:
 
     def _motor(self, theta: Array) -> _Motor:
         """Return what follows from the parameters; worked out where they have changed."""
-        if self._known_motor is None or (theta != self._known_motor.theta).any():
-            self._known_motor = _Motor.from_theta(self._white_box, theta)
-        return self._known_motor
+        motor = self._known_motor
+        if motor is None or theta.tobytes() != motor.theta:
+            motor = self._known_motor = _Motor.from_theta(self._white_box, theta)
+        return motor
 
     @property
     def _no_load_speed(self) -> float:
