@@ -14,8 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
+from common.driver_runs import DriverCase, DriverTrial, run_driver
 from common.figures import Figure, figure_table, last_line, table
-from common.filtered_current import FilterCase, FilterTrial, run_filtered
 from common.progress import progress_bar
 
 MOTORS = 10
@@ -40,17 +40,17 @@ FILTERS: dict[str, tuple[bool, float, float, bool]] = {
 whether the noise passes the analogue filter, too."""
 
 
-def cases(duration_s: float) -> dict[tuple[str, str], list[FilterCase]]:
+def cases(duration_s: float) -> dict[tuple[str, str], list[DriverCase]]:
     """Return the cases by speed and filter, one for each rate."""
     speeds = {'no speed': None, f'speed with {100.0 * SPEED_NOISE:g} % noise': SPEED_NOISE}
     return {
-        (speed, name): [FilterCase(*settings, rate_hz, noise, duration_s) for rate_hz in RATES_HZ]
+        (speed, name): [DriverCase(*settings, rate_hz, noise, duration_s) for rate_hz in RATES_HZ]
         for speed, noise in speeds.items()
         for name, settings in FILTERS.items()
     }
 
 
-def row(speed: str, name: str, trials: Sequence[FilterTrial]) -> list[str]:
+def row(speed: str, name: str, trials: Sequence[DriverTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
     claim_count = sum(trial.claims for trial in trials)
     false_count = sum(trial.false for trial in trials)
@@ -65,7 +65,7 @@ def row(speed: str, name: str, trials: Sequence[FilterTrial]) -> list[str]:
     return [f'{speed}, filter: {name}', *map(str, counts)]
 
 
-def figures(trials: dict[tuple[str, str], list[FilterTrial]]) -> list[Figure]:
+def figures(trials: dict[tuple[str, str], list[DriverTrial]]) -> list[Figure]:
     """Return the figures of a run: false claims of all filters together, by speed."""
     made = []
     for speed in dict.fromkeys(speed for speed, _ in trials):
@@ -93,10 +93,10 @@ def main() -> int:
     count = options.motors or (QUICK_MOTORS if options.quick else MOTORS)
     seeds = range(options.first_seed, options.first_seed + count)
     chosen_cases = cases(QUICK_S if options.quick else DURATION_S)
-    trials: dict[tuple[str, str], list[FilterTrial]] = {}
+    trials: dict[tuple[str, str], list[DriverTrial]] = {}
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = {
-            key: [pool.map(partial(run_filtered, case), seeds) for case in some]
+            key: [pool.map(partial(run_driver, case), seeds) for case in some]
             for key, some in chosen_cases.items()
         }
         for key, some in progress_bar(jobs.items(), total=len(jobs), unit='case'):

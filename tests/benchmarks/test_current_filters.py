@@ -5,7 +5,7 @@ from __future__ import annotations
 import current_filters
 import numpy as np
 import pytest
-from common.filtered_current import FilterTrial, moving_average, run_filtered
+from common.driver_runs import DriverTrial, moving_average, run_driver
 
 
 def test_a_moving_average_weighs_the_newest_reading_most() -> None:
@@ -15,8 +15,8 @@ def test_a_moving_average_weighs_the_newest_reading_most() -> None:
 
 
 def test_rows_and_figures_count_motors_and_claims() -> None:
-    good = FilterTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
-    bad = FilterTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
+    good = DriverTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
+    bad = DriverTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
     row = current_filters.row('no speed', 'none', [good, good, bad])
     assert row == ['no speed, filter: none', '3', '2', '2', '1', '21', '3']
     trials = {('no speed', 'none'): [good, good], ('no speed', 'mean'): [bad]}
@@ -30,6 +30,6 @@ def test_rows_and_figures_count_motors_and_claims() -> None:
 @pytest.mark.parametrize('name', ['none', 'moving average, newest weighs 0.5'])
 def test_of_a_filtered_current_nothing_false_is_believed(name: str) -> None:
     case = current_filters.cases(5.0)['no speed', name][0]
-    trial = run_filtered(case, seed=2)
+    trial = run_driver(case, seed=2)
     assert trial.false == 0
     assert trial.is_near == (name == 'none')

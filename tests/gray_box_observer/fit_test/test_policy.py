@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from gray_box_observer.fit_test.policy import (
     SCORE_MEASURED,
     SCORE_UNMEASURED,
     STANDING,
+    UNIFORM_STD,
     WHITENESS_DOUBT,
     WHITENESS_WIDENS,
     Judgement,
@@ -30,7 +32,12 @@ from gray_box_observer.fit_test.residual_analysis import (
     EffectScore,
     ResidualAnalysis,
 )
-from gray_box_observer.fit_test.stamp_errors import STAMP_STD, STAMP_STDS, StampError
+from gray_box_observer.fit_test.stamp_errors import (
+    STAMP_STD,
+    STAMP_STDS,
+    StampError,
+    StampErrors,
+)
 
 SAMPLES = 1000
 NO_ERROR = StampError(np.zeros(2), UNKNOWN)
@@ -46,12 +53,12 @@ def analysis(**findings: object) -> ResidualAnalysis:
         whiteness=1.0,
         scores=(),
         robust_std=np.full(2, np.nan),
-        delay=NO_ERROR,
-        lead=NO_ERROR,
+        stamps=StampErrors(NO_ERROR, NO_ERROR, NO_ERROR),
         intervals=5.0,
         jitter=0.0,
         moving_noise_a=0.0,
         open_shifts=np.empty((0, 2)),
+        smoothing_shifts=np.empty((0, 2)),
         persistence=0.0,
         evidence=NO_EVIDENCE,
     )
@@ -163,8 +170,28 @@ def test_a_small_error_of_the_stamps_counts_once_more_than_a_window_tells_of_it(
     shift = np.array([-0.4, 0.0])
     told = Amount(0.5 * STAMP_STDS * STAMP_STD, STAMP_STD)
     evidence = Evidence({}, WINDOW + 1.0 if is_mature else 100.0)
-    doubted = analysis(delay=StampError(shift, told), evidence=evidence)
+    stamps = StampErrors(StampError(shift, told), NO_ERROR, NO_ERROR)
+    doubted = analysis(stamps=stamps, evidence=evidence)
     limit = judge(doubted, STD, SAMPLES, speed_measured=True, stamps_exact=False)
     size = told.likely(STAMP_STD).size
     expected = size * size * np.outer(shift, shift) if is_mature else np.zeros((2, 2))
     np.testing.assert_allclose(limit.spread, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('mean', 'std', 'expected'),
+    [(0.0, 0.01, 0.03), (0.02, 0.01, 0.067), (0.2, 0.01, UNIFORM_STD), (0.0, np.inf, UNIFORM_STD)],
+)
+def test_where_l_over_r_is_short_r_is_open_as_far_as_the_instant_of_a_step_is(
+    mean: float, std: float, expected: float
+) -> None:
+    """L is by all of an interval, whatever the data tell."""
+    instant = StampError(np.array([-1.0, 0.1]), Amount(mean, std))
+    delay = StampError(np.array([-3.0, -0.5]), Amount(0.0, 1e-6))
+    findings = analysis(stamps=StampErrors(delay, NO_ERROR, instant), intervals=0.5)
+    limit = judge(findings, STD, SAMPLES, speed_measured=True, stamps_exact=False)
+    std_of_r = math.sqrt(limit.spread[1, 1])
+    assert std_of_r == pytest.approx(0.1 * expected, rel=0.02)
+    assert math.sqrt(limit.spread[0, 0]) >= 3.0 * UNIFORM_STD
+    exact = judge(findings, STD, SAMPLES, speed_measured=True, stamps_exact=True)
+    assert not exact.spread.any()

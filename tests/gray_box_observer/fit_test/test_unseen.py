@@ -61,7 +61,7 @@ def test_steps_tell_the_instant_at_which_the_voltage_acts() -> None:
     voltage_v = steps(SAMPLES, 1)
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 2))
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
-    assert analysis.delay.amount.std < 0.1 * UNTOLD_DELAY
+    assert analysis.stamps.delay.amount.std < 0.1 * UNTOLD_DELAY
     assert not _judged(record, stamps_exact=False).spread.any()
 
 
@@ -70,7 +70,7 @@ def test_slow_sines_do_not_and_leave_the_inductance_open(exact: bool) -> None:
     voltage_v, _ = _slow_sines(1.0)
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 3))
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
-    assert analysis.delay.amount.std > UNTOLD_DELAY
+    assert analysis.stamps.delay.amount.std > UNTOLD_DELAY
     spread = _judged(record, stamps_exact=exact).spread
     half_interval = 0.5 * INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H
     assert np.sqrt(spread[0, 0]) == pytest.approx(
@@ -89,7 +89,7 @@ def test_small_errors_of_the_stamps_count_where_the_data_tell_them(error: float,
         current_of(voltage_v) + noise(SAMPLES, 5.0 * STD_A, seed),
     )
     analysis = analyse(WHITE_BOX, TRUTH, stamped.stretch)
-    stamp_error = analysis.delay if error > 0.0 else analysis.lead
+    stamp_error = analysis.stamps.delay if error > 0.0 else analysis.stamps.lead
     assert abs(stamp_error.amount.mean) == pytest.approx(abs(error), rel=0.3)
     spread = (
         _judged(stamped, stamps_exact=False).spread - _judged(stamped, stamps_exact=True).spread
@@ -121,7 +121,7 @@ def _looped(seed: int, every: int) -> Record:
 @pytest.mark.parametrize('seed', range(5))
 def test_a_current_loop_that_answers_noise_is_not_taken_for_stamps(seed: int, every: int) -> None:
     record = _looped(seed, every)
-    lead = analyse(WHITE_BOX, TRUTH, record.stretch).lead.amount
+    lead = analyse(WHITE_BOX, TRUTH, record.stretch).stamps.lead.amount
     assert lead.std < 0.05
     assert abs(lead.mean) < 3.0 * lead.std
     spread = _judged(record, stamps_exact=False).spread

@@ -105,6 +105,20 @@ class FreeRun:
         rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
         return rows
 
+    def pulse_response(self, pulses_vs: Array) -> Array:
+        """Return how the run answers small pulses of voltage at the begin of its intervals.
+
+        Args:
+            pulses_vs: shape (pulse, k): in V s, a row of them an answer.
+
+        Returns:
+            Shape (pulse, k + 1), in A.
+        """
+        left = np.where(self.stretch.restart[0], 0.0, self.decay / self.inductance_h)
+        inputs = (pulses_vs * left)[:, None]
+        rows: Array = recurrence(self.decay[None], inputs, np.zeros(inputs.shape[:2]))[:, 0]
+        return rows
+
     def explain(self, response_a: Array, columns: Array) -> tuple[Array, Array]:
         """Explain a response by columns, and by where the run begins, as well as they can.
 

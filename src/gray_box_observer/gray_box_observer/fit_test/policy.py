@@ -101,6 +101,11 @@ FAR_UNTOLD_DELAY = 0.165
 """The same from which few samples are enough where the speed is measured, because the first test
 comes early there: moves of the voltage have come, and have not told."""
 
+UNTOLD_INSTANT = 3.0
+"""Factor on what the data tell of the instant at which a voltage acts within its interval. The
+samples behind a move tell it, and a fit leaves out as outliers those of them that a late voltage
+moves far: half an interval was told as a quarter."""
+
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
 
@@ -247,21 +252,14 @@ def judge(
         fewer = math.sqrt(analysis.samples / max(samples, analysis.samples))
         robust = SAFETY * few * fewer * analysis.robust_std
         factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
-    late = UNIFORM_MEAN * analysis.jitter
+    unknown_shifts = [
+        (UNIFORM_MEAN * analysis.jitter, analysis.stamps.delay.shift),
+        *((1.0, row) for row in analysis.open_shifts),
+    ]
     if not stamps_exact:
-        share = _share_below(SHORTEST, analysis.intervals)
-        is_untold = _is_delay_untold(analysis, speed_measured=speed_measured)
-        late += UNIFORM_STD if is_untold else share * UNIFORM_STD
-    unknown_shifts = [(late, analysis.delay.shift), *((1.0, row) for row in analysis.open_shifts)]
-    if not stamps_exact:
-        of_inductance = np.zeros_like(analysis.delay.shift)
-        of_inductance[INDUCTANCE] = analysis.delay.shift[INDUCTANCE]
-        share = _share_below(SHORT, analysis.intervals) * UNIFORM_STD if speed_is_hidden else 0.0
-        unknown_shifts.append((max(share - late, 0.0), of_inductance))
-        unknown_shifts += [
-            (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
-            for error in (analysis.delay, analysis.lead)
-        ]
+        unknown_shifts += _stamp_doubts(
+            analysis, speed_measured=speed_measured, speed_is_hidden=speed_is_hidden
+        )
     for amount, unknown_shift in unknown_shifts:
         shift = amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
@@ -293,6 +291,34 @@ def _share_below(limits: tuple[float, float], intervals: float) -> float:
     return float(np.clip((from_here - intervals) / (from_here - fully), 0.0, 1.0))
 
 
+def _stamp_doubts(
+    analysis: ResidualAnalysis, *, speed_measured: bool, speed_is_hidden: bool
+) -> list[tuple[float, Array]]:
+    """Return amounts of errors of the stamps, each with how it moves the parameters.
+
+    Arguments are those of :func:`judge`.
+    """
+    stamps = analysis.stamps
+    amounts = [(1.0, row) for row in analysis.smoothing_shifts]
+    amounts += [
+        (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
+        for error in (stamps.delay, stamps.lead)
+    ]
+    if _is_delay_untold(analysis, speed_measured=speed_measured):
+        return [*amounts, (UNIFORM_STD, stamps.delay.shift)]
+    of_inductance = np.zeros_like(stamps.delay.shift)
+    of_inductance[INDUCTANCE] = stamps.delay.shift[INDUCTANCE]
+    open_share = _share_below(SHORT if speed_is_hidden else SHORTEST, analysis.intervals)
+    amounts.append((open_share * UNIFORM_STD, of_inductance))
+    likely_std = _share_below(SHORTEST, analysis.intervals) * UNIFORM_STD
+    if analysis.whiteness > WHITENESS_ASKS:  # what it tells is not of this motor
+        amounts.append((likely_std, stamps.delay.shift))
+    elif likely_std > 0.0:
+        size = UNTOLD_INSTANT * stamps.instant.amount.likely(likely_std).size
+        amounts.append((min(size, likely_std), stamps.instant.shift))
+    return amounts
+
+
 def _doubted_amount(error: StampError, *, is_mature: bool) -> float:
     """Return the error of a driver's stamps that may be there, in sample intervals.
 
@@ -314,8 +340,10 @@ def _is_delay_untold(analysis: ResidualAnalysis, *, speed_measured: bool) -> boo
     A voltage that moves smoothly and acts d later looks like one that acts at once on L - R d.
     """
     moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
-    is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay.amount.std > UNTOLD_DELAY
-    is_open = speed_measured and FAR_UNTOLD_DELAY < analysis.delay.amount.std < math.inf
+    is_smooth = (
+        analysis.samples >= FEWEST_SMOOTH and analysis.stamps.delay.amount.std > UNTOLD_DELAY
+    )
+    is_open = speed_measured and FAR_UNTOLD_DELAY < analysis.stamps.delay.amount.std < math.inf
     return (is_smooth or is_open) and moves_inductance
 
 

@@ -44,9 +44,10 @@ from gray_box_observer.fit_test.projection import (
 )
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
 from gray_box_observer.fit_test.rounding import rounding_errors
+from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
-    StampError,
+    StampErrors,
     stamp_amounts,
     stamp_errors,
     stamp_responses,
@@ -136,8 +137,7 @@ class ResidualAnalysis:
         robust_std: shape (parameter,): standard deviations of the logarithms over these samples,
             under the residual's own correlation; NaN where the residual is white or nothing can be
             said.
-        delay: what comes of a voltage that acts later than it is stamped.
-        lead: what comes of one that acts earlier.
+        stamps: what comes of a voltage that acts later or earlier than it is stamped.
         intervals: sample intervals in an electrical time constant L/R.
         jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as
             large in steep parts of the current as in flat ones.
@@ -148,6 +148,7 @@ class ResidualAnalysis:
             noise of measured voltage and speed, least squares elsewhere, a friction that is not
             quite that of the white box, a measured speed that is not that of the whole motor, one
             that comes late, and a lag that is not quite as found.
+        smoothing_shifts: likewise, where the lag of the winding may be a driver's.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -159,12 +160,12 @@ class ResidualAnalysis:
     whiteness: float
     scores: tuple[EffectScore, ...]
     robust_std: Array
-    delay: StampError
-    lead: StampError
+    stamps: StampErrors
     intervals: float
     jitter: float
     moving_noise_a: float
     open_shifts: Array
+    smoothing_shifts: Array
     persistence: float
     evidence: Evidence
 
@@ -283,7 +284,7 @@ def analysis_in_pieces(
     count = residual.size
     new_count = count if new is None else new
     input_evidence = earlier.with_window(window, count, new_count)
-    delay, lead = stamp_errors(projection, responses_a, input_evidence)
+    stamps = stamp_errors(projection, responses_a, input_evidence)
     variances = {name: input_evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
     least_squares = {}
     if not white_box.has_rotor:
@@ -292,9 +293,10 @@ def analysis_in_pieces(
         steady_ones = steady_least_squares(least_squares)
         earlier = earlier.without([name for name in least_squares if name not in steady_ones])
         least_squares = steady_ones
-    allowances = allowances_of_stamps(white_box, (delay, lead))
+    allowances = allowances_of_stamps(white_box, (stamps.delay, stamps.lead))
     evidence = pooled_evidence(earlier, window, least_squares, allowances, count, new_count)
     yield work
+    intervals = _intervals(white_box, p, stretch)
     rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
@@ -313,6 +315,11 @@ def analysis_in_pieces(
         ),
     ]
     yield work
+    smoothing_shifts = [
+        projection.open_shift(doubt, noise_a, is_white=is_white)
+        for doubt in smoothing_doubts(white_box, run, theta, intervals)
+    ]
+    yield work
     scores = yield from _scores(
         run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
     )
@@ -324,12 +331,12 @@ def analysis_in_pieces(
         whiteness=whiteness,
         scores=scores,
         robust_std=robust_std,
-        delay=delay,
-        lead=lead,
-        intervals=_intervals(white_box, p, stretch),
+        stamps=stamps,
+        intervals=intervals,
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(open_shifts),
+        smoothing_shifts=np.concatenate([np.empty((0, theta.size)), *smoothing_shifts]),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
         evidence=evidence,
     )

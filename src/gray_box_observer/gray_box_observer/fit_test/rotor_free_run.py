@@ -34,10 +34,12 @@ class RotorFreeRun(FreeRun):
         transitions: shape (k, state, state): derivatives of every interval's end by its start; zero
             at a restart.
         speed_rad_s: shape (k + 1,): of the run.
+        runs: the same history by history.
     """
 
     transitions: Array = field(kw_only=True)
     speed_rad_s: Array = field(kw_only=True)
+    runs: FreeRuns = field(kw_only=True)
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the current answers small further voltages, the rotor with it.
@@ -58,6 +60,19 @@ class RotorFreeRun(FreeRun):
         )
         inputs = np.where(self.stretch.restart[0], 0.0, voltages_v).T
         return current_response(self.transitions, by_voltage, inputs).T
+
+    def pulse_response(self, pulses_vs: Array) -> Array:
+        """Return how the current answers small pulses of voltage, the rotor with it.
+
+        Args:
+            pulses_vs: shape (pulse, k): in V s, at the begin of every interval.
+
+        Returns:
+            Shape (pulse, k + 1), in A.
+        """
+        by_pulse = self.transitions[:, :, State.CURRENT] / self.inductance_h
+        inputs = np.where(self.stretch.restart[0], 0.0, pulses_vs).T
+        return current_response(self.transitions, by_pulse, inputs).T
 
     def torque_response(self, torques_nm: Array, inertia: float) -> Array:
         """Return how the current answers small further torques; a held shaft answers none.
@@ -134,6 +149,7 @@ def rotor_free_run_in_pieces(
         tuple(by_start[1:]),
         transitions=transitions,
         speed_rad_s=np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
+        runs=runs,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from gray_box_observer.white_box.interface import Array
 
 DELAY = 'delay'
 LEAD = 'lead'
+INSTANT = 'instant'
 """Names of what windows tell of such errors, in sample intervals."""
 
 STAMP_STD = 0.05
@@ -51,56 +53,84 @@ class StampError:
         return abs(amount.mean) > STAMP_STDS * amount.std
 
 
-def stamp_responses(run: FreeRun) -> Array:
+@dataclass(frozen=True)
+class StampErrors:
+    """Constant errors of the voltage's stamps that the residual is asked for.
+
+    Attributes:
+        delay: the voltage acts later.
+        lead: it acts earlier.
+        instant: it acts later within its interval, to first order: of the interval's begin a pulse
+            is missing. What of it the current has forgotten at the interval's end only a rotor
+            remembers. That is all there is to tell it by where L/R is far below an interval: the
+            rest looks like a larger inductance.
+    """
+
+    delay: StampError
+    lead: StampError
+    instant: StampError
+
+
+def stamp_responses(run: FreeRun) -> dict[str, Array]:
     """Return how the current answers where the voltage acts later or earlier than it is stamped.
 
     By one sample interval each. Small parts of it do not only differ in sign: of a delay the
     interval in which the voltage has moved tells, of a lead the one before.
 
     Returns:
-        Shape (2, k + 1), in A.
+        Shape (k + 1,) each, in A, by the name of the error.
     """
     voltage_v = run.stretch.voltage_v[0]
     later_v = -np.diff(voltage_v, prepend=voltage_v[:1])
     earlier_v = np.diff(voltage_v, append=voltage_v[-1:])
-    return run.response(np.stack([later_v, earlier_v]))
+    later_a, sooner_a = run.response(np.stack([later_v, earlier_v]))
+    pulses_vs = later_v * run.stretch.interval_s[0]
+    return {DELAY: later_a, LEAD: sooner_a, INSTANT: run.pulse_response(pulses_vs[None])[0]}
 
 
 def stamp_amounts(
-    run: FreeRun, projection: Projection, responses_a: Array, noise_a: float, *, is_white: bool
+    run: FreeRun,
+    projection: Projection,
+    responses_a: Mapping[str, Array],
+    noise_a: float,
+    *,
+    is_white: bool,
 ) -> dict[str, Amount]:
-    """Return how much a window tells of either error, by name.
+    """Return how much a window tells of every error, by name.
 
     Args:
         run: the free run.
         projection: of its residual on the parameters.
-        responses_a: shape (2, k + 1): what :func:`stamp_responses` gives.
+        responses_a: what :func:`stamp_responses` gives.
         noise_a: standard deviation of the residual in A.
         is_white: whether it is white.
     """
-    later_a, sooner_a = responses_a
-    instrument_a = _instrument(run, sooner_a)
+    instruments_a = {LEAD: _instrument(run, responses_a[LEAD])}
     return {
-        DELAY: projection.amount(later_a, noise_a, is_white=is_white),
-        LEAD: projection.amount(sooner_a, noise_a, is_white=is_white, instrument_a=instrument_a),
+        name: projection.amount(
+            response_a, noise_a, is_white=is_white, instrument_a=instruments_a.get(name)
+        )
+        for name, response_a in responses_a.items()
     }
 
 
 def stamp_errors(
-    projection: Projection, responses_a: Array, evidence: Evidence
-) -> tuple[StampError, StampError]:
-    """Return what a delay and a lead do to a window, and how much of them all windows tell.
+    projection: Projection, responses_a: Mapping[str, Array], evidence: Evidence
+) -> StampErrors:
+    """Return what errors of the stamps do to a window, and how much of them all windows tell.
 
     Args:
         projection: of the window's residual on the parameters.
-        responses_a: shape (2, k + 1): what :func:`stamp_responses` gives.
+        responses_a: what :func:`stamp_responses` gives.
         evidence: of all windows.
     """
-    delay, lead = (
-        StampError(-projection.shift(projection.with_weight(response_a)), evidence.amount(name))
-        for name, response_a in zip((DELAY, LEAD), responses_a, strict=True)
-    )
-    return delay, lead
+    errors = {
+        name: StampError(
+            -projection.shift(projection.with_weight(response_a)), evidence.amount(name)
+        )
+        for name, response_a in responses_a.items()
+    }
+    return StampErrors(**errors)
 
 
 def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:

@@ -393,7 +393,7 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'stamps_exact',
         False,
         'Voltage acts at the very instant of its stamp. Else the deviation of L contains 5 % of a '
-        'sample interval in the long run, and L/R below an interval is not believed.',
+        'sample interval in the long run, and L is not believed where L/R is below an interval.',
     ),
     ParameterSpec(
         'delay',

@@ -1,4 +1,4 @@
-"""Drawn gear motors whose current is filtered as drivers do, and what is claimed of them."""
+"""Drawn gear motors behind drivers that filter or come late, and what is claimed of them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ SLOWEST_HZ = 20_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class FilterCase:
-    """How the current of a motor is measured.
+class DriverCase:
+    """What a driver does to voltage and current.
 
     Attributes:
         averages: whether a reading is the mean of its sample interval.
@@ -38,6 +38,7 @@ class FilterCase:
         rate_hz: of the samples.
         speed_noise: of the measured speed, as a share of its spread; None: it is not measured.
         duration_s: of the record.
+        late: how long after its stamp the voltage acts, in sample intervals.
         noise: of a reading, as a share of the current's spread.
     """
 
@@ -48,11 +49,12 @@ class FilterCase:
     rate_hz: float
     speed_noise: float | None
     duration_s: float
+    late: float = 0.0
     noise: float = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class FilterTrial:
+class DriverTrial:
     """What came of one motor.
 
     Attributes:
@@ -69,7 +71,7 @@ class FilterTrial:
     false: int
 
 
-def run_filtered(case: FilterCase, seed: int) -> FilterTrial:
+def run_driver(case: DriverCase, seed: int) -> DriverTrial:
     """Draw a motor, record it, and run the observer without predictor over the record."""
     rng = np.random.default_rng([29, seed])
     motor = gear_motor(rng)
@@ -94,18 +96,20 @@ def run_filtered(case: FilterCase, seed: int) -> FilterTrial:
     observer.finish()
     end = observer.estimates()[MOTOR]
     is_misfit = observer.fit(MOTOR).verdict is FitVerdict.MISFIT
-    return FilterTrial(
+    return DriverTrial(
         is_known(end, motor), is_near(end, motor), is_misfit, int(counts[0]), int(counts[1])
     )
 
 
 def _measured(
-    case: FilterCase, motor: Motor, voltage_v: FloatArray, rng: np.random.Generator
+    case: DriverCase, motor: Motor, voltage_v: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return measured currents and true speeds, shape (k + 1,) each."""
     steps = max(STEPS, math.ceil(SLOWEST_HZ / case.rate_hz))
     plant = Plant(motor, 1.0 / (case.rate_hz * steps))
-    course, speeds = map(np.array, plant.run(np.repeat(voltage_v, steps).tolist()))
+    late_v = np.zeros(round(case.late * steps))
+    acting_v = np.concatenate([late_v, np.repeat(voltage_v, steps)])[: voltage_v.size * steps]
+    course, speeds = map(np.array, plant.run(acting_v.tolist()))
     if case.low_pass > 0.0:
         course = moving_average(course, 1.0 - math.exp(-1.0 / (steps * case.low_pass)))
     read = course.reshape(-1, steps)

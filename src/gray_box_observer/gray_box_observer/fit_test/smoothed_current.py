@@ -1,0 +1,56 @@
+"""What a moving average of the current would do to an estimate, where it passes for the winding.
+
+A driver that publishes a moving average leaves a lag of first order. Where samples come hardly once
+in L/R, that looks like the lag of the winding. But the torque of a winding lags with its current. A
+rotor before a moving average has its torque at once. R takes over most of the difference, about the
+lag over the mechanical time constant. How much of the lag is a driver's, the data tell.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.signal import lfilter
+
+from gray_box_observer.context_nodes.rotor.window import free_runs
+from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.projection import Doubt
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+LONGEST = 1.0
+"""Sample intervals in L/R up to which the lag may be a driver's: of more, its shape tells."""
+
+LEFT = 0.05
+"""Share of L that is left where the lag is a driver's: the winding then settles in an interval."""
+
+
+def smoothing_doubts(
+    white_box: WhiteBox, run: FreeRun, theta: Array, intervals: float
+) -> list[Doubt]:
+    """Return that the lag of a hidden rotor's current may be a driver's.
+
+    Args:
+        white_box: of one motor.
+        run: its free run at the present values.
+        theta: shape (parameter,): these.
+        intervals: sample intervals in L/R.
+    """
+    if not isinstance(run, RotorFreeRun) or white_box.load_varies or not 0.0 < intervals < LONGEST:
+        return []
+    assert isinstance(white_box, MotorWhiteBox)
+    fast_theta = theta.copy()
+    fast_theta[white_box.context_nodes.index('inductance')] *= LEFT
+    with np.errstate(all='ignore'):
+        fast = free_runs(white_box, fast_theta, run.runs.window, run.runs.starts)
+    if not fast.is_bounded:
+        return []
+    kept = math.exp(-1.0 / intervals)
+    averages = [
+        lfilter([1.0 - kept], [1.0, -kept], path.states[:, State.CURRENT], zi=[kept * start[0]])[0]
+        for path, start in zip(fast.runs, fast.starts, strict=True)
+    ]
+    return [Doubt(np.concatenate(averages) - run.current_a)]

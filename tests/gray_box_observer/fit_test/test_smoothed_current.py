@@ -1,0 +1,62 @@
+"""A moving average that passes for the winding of a rotor: where it is doubted, and by how much."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_motor_records import INTERVAL_S, Floats, Record, steps
+from scipy.signal import lfilter
+
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.smoothed_current import LEFT, smoothing_doubts
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
+
+SAMPLES = 2000
+KT = KB = 0.02
+NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+ROTOR = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
+RESISTANCE = 2.0
+KEPT = 0.15
+"""Weight of the average before."""
+
+INTERVALS = -1.0 / np.log(KEPT)
+"""Sample intervals in an L/R that lags as such an average does."""
+
+
+def _theta(intervals: float) -> Floats:
+    inductance = intervals * INTERVAL_S * RESISTANCE
+    return np.array([inductance, RESISTANCE, 2e-6, 1e-5, 1e-9])
+
+
+def _current(theta: Floats) -> Floats:
+    voltage_v = steps(SAMPLES, 2)[:-1]
+    interval_s = np.full(voltage_v.size, INTERVAL_S)
+    limits = np.array([1e3, 1e6])
+    path = run(KT, coordinates(ROTOR, theta), np.zeros(2), voltage_v, interval_s, limits)
+    current_a: Floats = path.states[:, 0]
+    return current_a
+
+
+def test_the_doubt_is_the_reading_of_a_fast_winding_behind_the_average() -> None:
+    theta = _theta(INTERVALS)
+    current_a = _current(theta)
+    free = rotor_free_run(
+        ROTOR, to_coordinates(theta[None]), Record(steps(SAMPLES, 2), current_a).stretch
+    )
+    (doubt,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    fast = _current(_theta(LEFT * INTERVALS))
+    read_a = lfilter([1.0 - KEPT], [1.0, -KEPT], fast)
+    expected_a = read_a - current_a
+    assert np.std(doubt.response_a - expected_a) < 0.02 * np.std(expected_a)
+    assert 0.005 * np.std(current_a) < np.std(expected_a) < 0.1 * np.std(current_a)
+
+
+@pytest.mark.parametrize('intervals', [1.0, 3.0, np.inf, np.nan])
+def test_of_a_winding_that_lags_longer_its_shape_tells(intervals: float) -> None:
+    theta = _theta(2.0)
+    record = Record(steps(SAMPLES, 2), _current(theta))
+    free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
+    assert smoothing_doubts(ROTOR, free, theta, intervals) == []
