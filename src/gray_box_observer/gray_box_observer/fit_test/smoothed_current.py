@@ -48,9 +48,9 @@ def smoothing_doubts(
         fast = free_runs(white_box, fast_theta, run.runs.window, run.runs.starts)
     if not fast.is_bounded:
         return []
-    kept = math.exp(-1.0 / intervals)
+    memory = math.exp(-1.0 / intervals)
     averages = [
-        lfilter([1.0 - kept], [1.0, -kept], path.states[:, State.CURRENT], zi=[kept * start[0]])[0]
+        lfilter([1.0 - memory], [1.0, -memory], path.states[:, State.CURRENT], zi=[memory * start[0]])[0]
         for path, start in zip(fast.runs, fast.starts, strict=True)
     ]
     return [Doubt(np.concatenate(averages) - run.current_a)]
