@@ -425,6 +425,20 @@ def test_the_fit_test_passes_on_a_noisy_speed() -> None:
     assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
 
 
+def test_a_speed_that_bends_between_slow_samples_is_no_misfit() -> None:
+    """Two samples come in a mechanical time constant; between them the speed is not straight."""
+    recording = recorded(duration_s=30.0, rate_hz=40.0)
+    speed = noisy(recording.speed_rad_s[0], 0.01)
+    samples = [
+        sample._replace(speed_rad_s=speed[k : k + 1])
+        for k, sample in enumerate(samples_of(recording))
+    ]
+    estimate, verdict = observed(samples)
+    assert verdict == 'ok'
+    assert estimate.verdicts[0][1] is Verdict.IDENTIFIED
+    assert estimate.value[0, 1] == pytest.approx(THETA[1], rel=0.01)
+
+
 def observed(samples: list[Sample]) -> tuple[Any, str]:
     """What the observer says of samples: its estimate and its verdict of the fit."""
     parameters = {

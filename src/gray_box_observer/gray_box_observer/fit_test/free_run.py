@@ -25,6 +25,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     find_kicks,
     follow,
     follow_moves,
+    input_reach,
     linearise,
     recurrence,
     restart_variance,
@@ -45,9 +46,6 @@ MAX_KICKS = 0.05
 
 CREDIBLE = 20.0
 """Times the largest reading: nothing is linearised about a state beyond."""
-
-LEAST = 1e-12
-"""Share of a deviation that an interval leaves of it at least, and takes from it at least."""
 
 OUTLIER = 6.0
 """Standard deviations beyond which a reading corrects no state after a restart."""
@@ -190,17 +188,6 @@ def free_run_in_pieces(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> 
         input_reach(stretch.interval_s[0], maps.decay[0]),
         weight,
     )
-
-
-def input_reach(interval_s: Array, decay: Array) -> Array:
-    """Return for how long an input acts in every interval, what decays of it taken off.
-
-    Args:
-        interval_s: shape (k,).
-        decay: shape (k,): what every interval leaves of a deviation, 0 to 1.
-    """
-    reach: Array = interval_s * (1.0 - decay) / -np.log(np.clip(decay, LEAST, 1.0 - LEAST))
-    return reach
 
 
 def _corrected(

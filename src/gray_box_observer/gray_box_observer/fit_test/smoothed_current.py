@@ -50,7 +50,9 @@ def smoothing_doubts(
         return []
     memory = math.exp(-1.0 / intervals)
     averages = [
-        lfilter([1.0 - memory], [1.0, -memory], path.states[:, State.CURRENT], zi=[memory * start[0]])[0]
+        lfilter(
+            [1.0 - memory], [1.0, -memory], path.states[:, State.CURRENT], zi=[memory * start[0]]
+        )[0]
         for path, start in zip(fast.runs, fast.starts, strict=True)
     ]
     return [Doubt(np.concatenate(averages) - run.current_a)]

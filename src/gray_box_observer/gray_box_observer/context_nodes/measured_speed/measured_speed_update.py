@@ -413,7 +413,7 @@ class MeasuredSpeedUpdate:
             return False
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
-        samples = as_of_motor(samples, fit)
+        samples = as_of_motor(self._white_box, samples, fit)
         self._current_lag_s = fit.current_lag_s
         self._smoothing_weight = fit.smoothing_weight
         self._samples = remembering(samples, place, self.present_since(motor=0))

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
-from gray_box_observer.samples.replay_buffer import SPEED, TORQUE, ReplayBuffer
+from gray_box_observer.context_nodes.recursive.trajectory import (
+    SampleWindow,
+    input_reach,
+    linearise,
+)
+from gray_box_observer.samples.replay_buffer import SPEED, TORQUE, VOLTAGE, ReplayBuffer
 from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 
-def as_of_motor(samples: Array, fit: OutputFit) -> Array:
+def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Array:
     """Return samples with the speed that their fit gives, and a current that does not lag.
 
     The current keeps, of its noise, what is new at every sample: what the filter's memory brings is
-    taken off. A history too short to be fitted keeps both readings.
+    taken off. The speed is straight between two samples for who reads them, and bends in the fit.
+    So the voltage contains what takes the current the same way. A history too short to be fitted
+    keeps its readings.
 
     Args:
+        white_box: physics whose speed is a signal.
         samples: shape (signal, n): those of the fit.
         fit: of current and speed.
 
@@ -29,6 +43,8 @@ def as_of_motor(samples: Array, fit: OutputFit) -> Array:
     for history, path in zip(fit.window.histories, runs.runs, strict=True):
         places = slice(history.place, history.place + history.current_a.size)
         result[SPEED, places] = path.states[:, State.SPEED]
+        intervals = slice(places.start + 1, places.stop)
+        result[VOLTAGE, intervals] += _bend_v(white_box, result[:, places], path.states, fit)
         if is_lagging:
             noise_a = residual_a[begin : begin + history.current_a.size]
             result[TORQUE, places] = runs.torque_constant * (
@@ -36,6 +52,28 @@ def as_of_motor(samples: Array, fit: OutputFit) -> Array:
             )
         begin += history.current_a.size
     return result
+
+
+def _bend_v(white_box: MotorWhiteBox, samples: Array, states: Array, fit: OutputFit) -> Array:
+    """Return what to add to the voltage so that a speed which is straight does as one that bends.
+
+    Args:
+        white_box: physics whose speed is a signal.
+        samples: shape (signal, k + 1): a history, with the speed of the whole motor.
+        states: shape (k + 1, state): how that runs.
+        fit: which gives the values.
+
+    Returns:
+        Shape (k,), in V; nothing where the values are absurd.
+    """
+    current_a = states[None, :, State.CURRENT]
+    theta = fit.fit.theta[None, : len(white_box.context_nodes)]
+    stretch = replace(SampleWindow.of_content(white_box, samples[:, None]), state=current_a)
+    maps = linearise(white_box, to_coordinates(theta), stretch, current_a)
+    missed_a = current_a[:, 1:] - maps.offset - maps.decay * current_a[:, :-1]
+    with np.errstate(all='ignore'):
+        bend_v = missed_a * theta[0, 0] / input_reach(stretch.interval_s, maps.decay)
+    return np.asarray(np.where(np.isfinite(bend_v), bend_v, 0.0)[0])
 
 
 def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:

@@ -71,6 +71,10 @@ LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
 
+LEAST = 1e-12
+"""Share of a deviation that an interval leaves of it at least, and takes from it at least."""
+
+
 @dataclass(frozen=True, eq=False)
 class SampleWindow:
     """Samples 0 ... k of a group of motors.
@@ -273,6 +277,17 @@ def follow(maps: Linearised, stretch: SampleWindow, start: Array, gain: Array) -
     first[STATE_ROW], first[START_ROW] = start, 1.0
     rows = recurrence(factor, inputs, first)
     return Trajectory(rows[STATE_ROW], rows[START_ROW], rows[COORDINATE_ROWS], factor)
+
+
+def input_reach(interval_s: Array, decay: Array) -> Array:
+    """Return for how long an input acts in every interval, what decays of it taken off.
+
+    Args:
+        interval_s: shape (k,).
+        decay: shape (k,): what every interval leaves of a deviation, 0 to 1.
+    """
+    reach: Array = interval_s * (1.0 - decay) / -np.log(np.clip(decay, LEAST, 1.0 - LEAST))
+    return reach
 
 
 def find_kicks(
