@@ -17,6 +17,7 @@ from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.projection import bandwidth
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
+from gray_box_observer.fit_test.smoothed_current import SMOOTHEST
 from gray_box_observer.fit_test.stamp_errors import StampError
 from gray_box_observer.white_box.interface import Array
 
@@ -92,6 +93,9 @@ SHORT = (0.8, 1.0)
 the mean of its interval, or smoothed, looks like one of a larger inductance. Half an interval
 contains it."""
 
+SMOOTHED = (1.0, SMOOTHEST)
+"""The same as which a current that a driver averages may look."""
+
 UNTOLD_DELAY = 0.05
 """Standard deviation of a delay, in sample intervals, from which the data need not show half an
 interval. A voltage that was sampled and not held acts so much later than it is taken to act. Steps
@@ -101,7 +105,7 @@ FAR_UNTOLD_DELAY = 0.165
 """The same from which few samples are enough where the speed is measured, because the first test
 comes early there: moves of the voltage have come, and have not told."""
 
-UNTOLD_INSTANT = 3.0
+INSTANT_SAFETY = 3.0
 """Factor on what the data tell of the instant at which a voltage acts within its interval. The
 samples behind a move tell it, and a fit leaves out as outliers those of them that a late voltage
 moves far: half an interval was told as a quarter."""
@@ -252,14 +256,13 @@ def judge(
         fewer = math.sqrt(analysis.samples / max(samples, analysis.samples))
         robust = SAFETY * few * fewer * analysis.robust_std
         factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
-    unknown_shifts = [
-        (UNIFORM_MEAN * analysis.jitter, analysis.stamps.delay.shift),
-        *((1.0, row) for row in analysis.open_shifts),
-    ]
+    late = UNIFORM_MEAN * analysis.jitter
+    unknown_shifts = [(1.0, row) for row in analysis.open_shifts]
     if not stamps_exact:
-        unknown_shifts += _stamp_doubts(
-            analysis, speed_measured=speed_measured, speed_is_hidden=speed_is_hidden
-        )
+        is_smooth = _is_delay_untold(analysis, speed_measured=speed_measured)
+        late += UNIFORM_STD if is_smooth else _untold_std(analysis)
+        unknown_shifts += _driver_doubts(analysis, speed_is_hidden=speed_is_hidden)
+    unknown_shifts.append((late, analysis.stamps.delay.shift))
     for amount, unknown_shift in unknown_shifts:
         shift = amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
@@ -291,30 +294,39 @@ def _share_below(limits: tuple[float, float], intervals: float) -> float:
     return float(np.clip((from_here - intervals) / (from_here - fully), 0.0, 1.0))
 
 
-def _stamp_doubts(
-    analysis: ResidualAnalysis, *, speed_measured: bool, speed_is_hidden: bool
-) -> list[tuple[float, Array]]:
-    """Return amounts of errors of the stamps, each with how it moves the parameters.
+def _untold_std(analysis: ResidualAnalysis) -> float:
+    """Return the deviation of a delay, in sample intervals, where the instant of a step counts.
 
-    Arguments are those of :func:`judge`.
+    It does where L/R is short. A residual that is not white tells nothing of the instant.
+    """
+    is_white = analysis.whiteness <= WHITENESS_ASKS
+    return 0.0 if is_white else _share_below(SHORTEST, analysis.intervals) * UNIFORM_STD
+
+
+def _driver_doubts(
+    analysis: ResidualAnalysis, *, speed_is_hidden: bool
+) -> list[tuple[float, Array]]:
+    """Return what a driver may do: amounts, each with how one of it moves the parameters.
+
+    Args:
+        analysis: of the residual.
+        speed_is_hidden: whether the speed is that of a rotor which nobody measures.
     """
     stamps = analysis.stamps
-    amounts = [(1.0, row) for row in analysis.smoothing_shifts]
-    amounts += [
-        (_doubted_amount(error, is_mature=analysis.evidence.is_mature), error.shift)
+    is_mature = analysis.evidence.is_mature
+    amounts = [
+        (_doubted_amount(error, is_mature=is_mature), error.shift)
         for error in (stamps.delay, stamps.lead)
     ]
-    if _is_delay_untold(analysis, speed_measured=speed_measured):
-        return [*amounts, (UNIFORM_STD, stamps.delay.shift)]
+    smoothed_share = _share_below(SMOOTHED, analysis.intervals)
+    amounts += [(smoothed_share, row) for row in analysis.smoothing_shifts]
     of_inductance = np.zeros_like(stamps.delay.shift)
     of_inductance[INDUCTANCE] = stamps.delay.shift[INDUCTANCE]
     open_share = _share_below(SHORT if speed_is_hidden else SHORTEST, analysis.intervals)
     amounts.append((open_share * UNIFORM_STD, of_inductance))
     likely_std = _share_below(SHORTEST, analysis.intervals) * UNIFORM_STD
-    if analysis.whiteness > WHITENESS_ASKS:  # what it tells is not of this motor
-        amounts.append((likely_std, stamps.delay.shift))
-    elif likely_std > 0.0:
-        size = UNTOLD_INSTANT * stamps.instant.amount.likely(likely_std).size
+    if likely_std > 0.0:
+        size = INSTANT_SAFETY * stamps.instant.amount.likely(likely_std).size
         amounts.append((min(size, likely_std), stamps.instant.shift))
     return amounts
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
@@ -48,6 +49,7 @@ from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
     StampErrors,
+    beside_measured_speed,
     stamp_amounts,
     stamp_errors,
     stamp_responses,
@@ -210,10 +212,13 @@ def analyse(
     new: int | None = None,
     lag_s: float = 0.0,
     measured_rad_s: Array | None = None,
+    late_instant: LateInstant | None = None,
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor, at once; see :func:`analysis_in_pieces`."""
     return completed(
-        analysis_in_pieces(white_box, p, stretch, is_drifting, earlier, new, lag_s, measured_rad_s)
+        analysis_in_pieces(
+            white_box, p, stretch, is_drifting, earlier, new, lag_s, measured_rad_s, late_instant
+        )
     )
 
 
@@ -226,6 +231,7 @@ def analysis_in_pieces(
     new: int | None,
     lag_s: float,
     measured_rad_s: Array | None,
+    late_instant: LateInstant | None = None,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -239,6 +245,8 @@ def analysis_in_pieces(
         lag_s: of the current sensor, as it was found; 0: none was.
         measured_rad_s: shape (k + 1,): readings of the speed, where the stretch holds that of the
             whole motor; else None.
+        late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
+            that acts late; None: nothing.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -285,6 +293,8 @@ def analysis_in_pieces(
     new_count = count if new is None else new
     input_evidence = earlier.with_window(window, count, new_count)
     stamps = stamp_errors(projection, responses_a, input_evidence)
+    if white_box.speed_measured:
+        stamps = beside_measured_speed(stamps, late_instant)
     variances = {name: input_evidence.amount(name) for name in (BY_NEIGHBOURS, BY_THE_ONE_BEFORE)}
     least_squares = {}
     if not white_box.has_rotor:

@@ -21,11 +21,12 @@ from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
-LONGEST = 1.0
+SMOOTHEST = 1.2
 """Sample intervals in L/R up to which the lag may be a driver's: of more, its shape tells."""
 
-LEFT = 0.05
-"""Share of L that is left where the lag is a driver's: the winding then settles in an interval."""
+FAST = 0.1
+"""The same of a winding that settles in an interval: its lag is left where the other is a driver's.
+"""
 
 
 def smoothing_doubts(
@@ -39,20 +40,26 @@ def smoothing_doubts(
         theta: shape (parameter,): these.
         intervals: sample intervals in L/R.
     """
-    if not isinstance(run, RotorFreeRun) or white_box.load_varies or not 0.0 < intervals < LONGEST:
+    is_short = 0.0 < intervals < SMOOTHEST
+    if not (is_short and isinstance(run, RotorFreeRun)) or white_box.load_varies:
         return []
     assert isinstance(white_box, MotorWhiteBox)
     fast_theta = theta.copy()
-    fast_theta[white_box.context_nodes.index('inductance')] *= LEFT
+    fast_theta[white_box.context_nodes.index('inductance')] *= min(FAST / intervals, 1.0)
     with np.errstate(all='ignore'):
         fast = free_runs(white_box, fast_theta, run.runs.window, run.runs.starts)
-    if not fast.is_bounded:
-        return []
+    runs = fast if fast.is_bounded else run.runs  # averaged twice, it differs by more
     memory = math.exp(-1.0 / intervals)
-    averages = [
-        lfilter(
-            [1.0 - memory], [1.0, -memory], path.states[:, State.CURRENT], zi=[memory * start[0]]
-        )[0]
-        for path, start in zip(fast.runs, fast.starts, strict=True)
-    ]
+    averages = [_moving_average(path.states[:, State.CURRENT], memory) for path in runs.runs]
     return [Doubt(np.concatenate(averages) - run.current_a)]
+
+
+def _moving_average(current_a: Array, memory: float) -> Array:
+    """Return the moving average of a current from its first value on, shape (k + 1,).
+
+    Args:
+        current_a: shape (k + 1,).
+        memory: weight of the average before.
+    """
+    start = [memory * current_a[0]]
+    return np.asarray(lfilter([1.0 - memory], [1.0, -memory], current_a, zi=start)[0])

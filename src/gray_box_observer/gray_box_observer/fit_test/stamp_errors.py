@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.projection import Amount, Projection
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
 from gray_box_observer.white_box.interface import Array
 
 DELAY = 'delay'
@@ -60,10 +61,10 @@ class StampErrors:
     Attributes:
         delay: the voltage acts later.
         lead: it acts earlier.
-        instant: it acts later within its interval, to first order: of the interval's begin a pulse
-            is missing. What of it the current has forgotten at the interval's end only a rotor
-            remembers. That is all there is to tell it by where L/R is far below an interval: the
-            rest looks like a larger inductance.
+        instant: it acts later within its interval, to first order: a pulse is missing at the start
+            of the interval. Where L/R is far below an interval, the current has forgotten it at the
+            end, and only a rotor remembers it. What the current still shows looks like a larger
+            inductance.
     """
 
     delay: StampError
@@ -131,6 +132,21 @@ def stamp_errors(
         for name, response_a in responses_a.items()
     }
     return StampErrors(**errors)
+
+
+def beside_measured_speed(errors: StampErrors, late_instant: LateInstant | None) -> StampErrors:
+    """Return the errors where a speed is measured: the white box has no rotor that tells them.
+
+    Args:
+        errors: as the voltage balance has them.
+        late_instant: as the fit of the whole motor has it; None: nothing is told, and the instant
+            moves the parameters as a delay of a whole interval does.
+    """
+    if late_instant is None:
+        return replace(errors, instant=StampError(errors.delay.shift, UNKNOWN))
+    shift = late_instant.shift[: errors.delay.shift.size]
+    amount = Amount(late_instant.mean, late_instant.std)
+    return replace(errors, instant=StampError(shift, amount))
 
 
 def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes import MeasuredSpeedUpdate, speed_readings
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
+from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
@@ -114,6 +115,8 @@ class MotorUnderTest:
             motor; else None.
         is_lagging: whether a lag of the current sensor was found beside a measured speed, and the
             samples are free of it: the search for a delay finds that.
+        late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
+            that acts late; None: nothing.
     """
 
     estimate: Estimate
@@ -128,6 +131,7 @@ class MotorUnderTest:
     remembered_count: int
     measured_rad_s: Array | None
     is_lagging: bool
+    late_instant: LateInstant | None
 
     @classmethod
     def view(
@@ -165,6 +169,7 @@ class MotorUnderTest:
             int(replay.remembered(one)[0]),
             speed_readings(nodes, count),
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
+            nodes.late_instant if isinstance(nodes, MeasuredSpeedUpdate) else None,
         )
 
     def snapshot(self) -> MotorUnderTest:
@@ -316,6 +321,7 @@ class WindowTest:
                 motor.new_samples,
                 0.0 if lag is None else lag.lag_s,
                 motor.newest_measured(count),
+                motor.late_instant,
             )
         )
         yield count

@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes.measured_speed.exact_speed import (
     exact_residual,
     whiteness,
 )
+from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.measured_speed.mechanics import (
     DEFAULT_MECHANICS,
     Mechanics,
@@ -154,6 +155,8 @@ class MeasuredSpeedUpdate:
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
         self._change_flags = np.zeros(1, dtype=bool)
+        self._asked_fit: OutputFit | None = None
+        self._late_instant: LateInstant | None = None  # of that fit
         self._current_lag_s = self._smoothing_weight = 0.0  # of the samples that are remembered
 
     @property
@@ -175,6 +178,17 @@ class MeasuredSpeedUpdate:
     def smoothing_weight(self) -> float:
         """Weight of the newest value in the moving average that the current is; 0: it is none."""
         return self._smoothing_weight if self._is_noisy else 0.0
+
+    @property
+    def late_instant(self) -> LateInstant | None:
+        """What a voltage late by a part of an interval does to the newest fit that explains."""
+        fit = self._outputs.output_fit
+        if fit is None or fit.current_lag_s > 0.0 or not fit.explains:
+            return None
+        if self._asked_fit is not fit:
+            self._asked_fit = fit
+            self._late_instant = LateInstant.from_fit(fit)
+        return self._late_instant
 
     @property
     def _is_unexplained(self) -> bool:

@@ -18,6 +18,9 @@ from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+NOTICEABLE = 0.3
+"""Share of the current's noise from which it counts that a speed bends between two samples."""
+
 
 def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Array:
     """Return samples with the speed that their fit gives, and a current that does not lag.
@@ -64,16 +67,20 @@ def _bend_v(white_box: MotorWhiteBox, samples: Array, states: Array, fit: Output
         fit: which gives the values.
 
     Returns:
-        Shape (k,), in V; nothing where the values are absurd.
+        Shape (k,), in V; nothing where it would move the current by less than a part of its noise.
+        No speed bends by more than it changes.
     """
     current_a = states[None, :, State.CURRENT]
     theta = fit.fit.theta[None, : len(white_box.context_nodes)]
     stretch = replace(SampleWindow.of_content(white_box, samples[:, None]), state=current_a)
     maps = linearise(white_box, to_coordinates(theta), stretch, current_a)
     missed_a = current_a[:, 1:] - maps.offset - maps.decay * current_a[:, :-1]
+    if not np.abs(missed_a).max(initial=0.0) > NOTICEABLE * fit.fit.noise_a:
+        return np.zeros(missed_a.size)
     with np.errstate(all='ignore'):
         bend_v = missed_a * theta[0, 0] / input_reach(stretch.interval_s, maps.decay)
-    return np.asarray(np.where(np.isfinite(bend_v), bend_v, 0.0)[0])
+    most_v = float(white_box.known['back_emf_constant']) * np.abs(np.diff(states[:, State.SPEED]))
+    return np.asarray(np.clip(np.nan_to_num(bend_v[0]), -most_v, most_v))
 
 
 def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:

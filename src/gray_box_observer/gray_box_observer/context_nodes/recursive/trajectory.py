@@ -71,6 +71,9 @@ LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
 
+FORGOTTEN = 1e-300
+"""Share of a deviation that an interval leaves of it at least, of many time constants."""
+
 LEAST = 1e-12
 """Share of a deviation that an interval leaves of it at least, and takes from it at least."""
 
@@ -286,7 +289,7 @@ def input_reach(interval_s: Array, decay: Array) -> Array:
         interval_s: shape (k,).
         decay: shape (k,): what every interval leaves of a deviation, 0 to 1.
     """
-    reach: Array = interval_s * (1.0 - decay) / -np.log(np.clip(decay, LEAST, 1.0 - LEAST))
+    reach: Array = interval_s * (1.0 - decay) / -np.log(np.clip(decay, FORGOTTEN, 1.0 - LEAST))
     return reach
 
 

@@ -363,6 +363,23 @@ class FreeRuns:
         unknowns = self.starts.shape[1]
         return np.concatenate([of_history[:, unknowns:] for of_history in self.derivatives])
 
+    def readings_of(self, states: Array, row: int) -> Array:
+        """Return what both sensors read of small changes of the states, shape (reading,).
+
+        Where the current lags, what its sensor keeps is left out.
+
+        Args:
+            states: shape (k + 1, state): of one history.
+            row: which history.
+        """
+        late = self._late[row]
+        output = self.window.speed_output
+        current = states[:, State.CURRENT]
+        if late is None or output is None:
+            return current
+        speed = late.is_covered * output.unit_a_s * late.of_signal(states[:, State.SPEED])
+        return np.concatenate([current, speed])
+
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""
         begin = 0
