@@ -45,7 +45,6 @@ def cases(samples: int) -> dict[Key, DriverCase]:
 def row(key: Key, trials: Sequence[DriverTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
     noise, rate_hz, late = key
-    speed = 'no speed' if noise is None else f'speed with {100.0 * noise:g} % noise'
     counts = [
         len(trials),
         sum(trial.is_known for trial in trials),
@@ -54,20 +53,29 @@ def row(key: Key, trials: Sequence[DriverTrial]) -> list[str]:
         sum(trial.claims for trial in trials),
         sum(trial.false for trial in trials),
     ]
-    return [f'{speed}, {rate_hz:g} Hz, late by {late:g}', *map(str, counts)]
+    return [f'{_speed(noise)}, {rate_hz:g} Hz, late by {late:g}', *map(str, counts)]
 
 
 def figures(trials: dict[Key, list[DriverTrial]]) -> list[Figure]:
-    """Return the figures of a run: R of punctual drivers, and false claims of all."""
-    punctual = [one for key, some in trials.items() if key[2] == 0.0 for one in some]
-    every = [one for some in trials.values() for one in some]
-    known_share = 100.0 * sum(trial.is_known for trial in punctual) / len(punctual)
-    claim_count = sum(trial.claims for trial in every)
-    false_share = 100.0 * sum(trial.false for trial in every) / max(claim_count, 1)
-    return [
-        Figure('punctual: R identified and right, in % of motors', known_share, (90.0, 100.0)),
-        Figure('false claims, in %', false_share, 2.0),
-    ]
+    """Return the figures of a run, by speed: R of punctual drivers, and false claims of all."""
+    made = []
+    for noise in dict.fromkeys(key[0] for key in trials):
+        own = {key: some for key, some in trials.items() if key[0] == noise}
+        punctual = [one for key, some in own.items() if key[2] == 0.0 for one in some]
+        every = [one for some in own.values() for one in some]
+        known_share = 100.0 * sum(trial.is_known for trial in punctual) / max(len(punctual), 1)
+        claim_count = sum(trial.claims for trial in every)
+        false_share = 100.0 * sum(trial.false for trial in every) / max(claim_count, 1)
+        name = f'{_speed(noise)}, punctual: R identified and right, in % of motors'
+        made += [
+            Figure(name, known_share, (90.0, 100.0)),
+            Figure('  false claims, in %', false_share, 2.0),
+        ]
+    return made
+
+
+def _speed(noise: float | None) -> str:
+    return 'no speed' if noise is None else f'speed with {100.0 * noise:g} % noise'
 
 
 def main() -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from linear_motor_records import INTERVAL_S, Floats, Record, steps
@@ -9,6 +11,7 @@ from scipy.signal import lfilter
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
+from gray_box_observer.fit_test import smoothed_current
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.smoothed_current import FAST, smoothing_doubts
 from gray_box_observer.white_box import MotorWhiteBox
@@ -60,3 +63,33 @@ def test_of_a_winding_that_lags_longer_its_shape_tells(intervals: float) -> None
     record = Record(steps(SAMPLES, 2), _current(theta))
     free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
     assert smoothing_doubts(ROTOR, free, theta, intervals) == []
+
+
+def test_the_doubt_stays_where_a_fast_winding_cannot_be_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    theta = _theta(INTERVALS)
+    record = Record(steps(SAMPLES, 2), _current(theta))
+    free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
+    (doubt,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    monkeypatch.setattr(smoothed_current, 'free_runs', _given_up)
+    (other,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    assert np.std(other.response_a) > np.std(doubt.response_a)
+
+
+def _given_up(*arguments: object) -> SimpleNamespace:
+    return SimpleNamespace(is_bounded=False)
+
+
+def test_a_motor_with_hysteresis_is_doubted_as_one_without() -> None:
+    """Its winding is followed in many steps."""
+    theta = np.append(_theta(INTERVALS), 1e-5)
+    box = MotorWhiteBox((*NODES, 'hysteresis'), KT, {'back_emf_constant': KB})
+    current_a = _current(theta[:-1])
+    free = rotor_free_run(
+        box, to_coordinates(theta[None]), Record(steps(SAMPLES, 2), current_a).stretch
+    )
+    (doubt,) = smoothing_doubts(box, free, theta, INTERVALS)
+    fast = _current(_theta(FAST))
+    read_a = lfilter([1.0 - KEPT], [1.0, -KEPT], fast)
+    assert np.std(doubt.response_a - (read_a - current_a)) < 0.1 * np.std(read_a - current_a)

@@ -44,8 +44,8 @@ def _current(theta: Floats, late: float = 0.0) -> Floats:
     return current_a
 
 
-def _response(run_a: FreeRun) -> Floats:
-    return stamp_responses(run_a)[INSTANT]
+def _response(free: FreeRun) -> Floats:
+    return stamp_responses(free)[INSTANT]
 
 
 @pytest.mark.parametrize('share', [0.2, 0.5, 2.0])

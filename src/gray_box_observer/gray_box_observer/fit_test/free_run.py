@@ -104,7 +104,7 @@ class FreeRun:
         return rows
 
     def pulse_response(self, pulses_vs: Array) -> Array:
-        """Return how the run answers small pulses of voltage at the begin of its intervals.
+        """Return how the run answers small pulses of voltage at the start of its intervals.
 
         Args:
             pulses_vs: shape (pulse, k): in V s, a row of them an answer.

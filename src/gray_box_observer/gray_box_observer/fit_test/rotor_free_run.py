@@ -65,7 +65,7 @@ class RotorFreeRun(FreeRun):
         """Return how the current answers small pulses of voltage, the rotor with it.
 
         Args:
-            pulses_vs: shape (pulse, k): in V s, at the begin of every interval.
+            pulses_vs: shape (pulse, k): in V s, at the start of every interval.
 
         Returns:
             Shape (pulse, k + 1), in A.

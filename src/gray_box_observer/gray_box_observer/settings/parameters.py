@@ -392,8 +392,9 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'stamps_exact',
         False,
-        'Voltage acts at the very instant of its stamp. Else the deviation of L contains 5 % of a '
-        'sample interval in the long run, and L is not believed where L/R is below an interval.',
+        'Voltage acts at the very instant of its stamp, and the current is that of this instant and '
+        'no moving average. Else the deviation of L contains 5 % of a sample interval in the long '
+        'run, and L is not believed where L/R is below an interval.',
     ),
     ParameterSpec(
         'delay',
