@@ -392,7 +392,7 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'stamps_exact',
         False,
-        'Voltage acts at the very instant of its stamp, and the current is that of this instant and '
+        'Voltage acts at the very instant of its stamp, and the current is that of this instant, '
         'no moving average. Else the deviation of L contains 5 % of a sample interval in the long '
         'run, and L is not believed where L/R is below an interval.',
     ),
