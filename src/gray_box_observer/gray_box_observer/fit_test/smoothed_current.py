@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.window import free_runs
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
@@ -61,5 +61,7 @@ def _moving_average(current_a: Array, memory: float) -> Array:
         current_a: shape (k + 1,).
         memory: weight of the average before.
     """
-    start = [memory * current_a[0]]
-    return np.asarray(lfilter([1.0 - memory], [1.0, -memory], current_a, zi=start)[0])
+    factor = np.full((1, current_a.size - 1), memory)
+    inputs = (1.0 - memory) * current_a[None, None, 1:]
+    averages: Array = recurrence(factor, inputs, current_a[None, :1])[0, 0]
+    return averages
