@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-from common.driver_runs import DriverCase, DriverTrial, run_driver
+from common.driver_runs import DriverCase, DriverTrial, counts, run_driver
 from common.figures import Figure, figure_table, last_line, table
 from common.progress import progress_bar
 
@@ -52,17 +52,7 @@ def cases(duration_s: float) -> dict[tuple[str, str], list[DriverCase]]:
 
 def row(speed: str, name: str, trials: Sequence[DriverTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
-    claim_count = sum(trial.claims for trial in trials)
-    false_count = sum(trial.false for trial in trials)
-    counts = [
-        len(trials),
-        sum(trial.is_known for trial in trials),
-        sum(trial.is_near for trial in trials),
-        sum(trial.is_misfit for trial in trials),
-        claim_count,
-        false_count,
-    ]
-    return [f'{speed}, filter: {name}', *map(str, counts)]
+    return [f'{speed}, filter: {name}', *counts(trials)]
 
 
 def figures(trials: dict[tuple[str, str], list[DriverTrial]]) -> list[Figure]:

@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-from common.driver_runs import DriverCase, DriverTrial, run_driver
+from common.driver_runs import DriverCase, DriverTrial, counts, run_driver
 from common.figures import Figure, figure_table, last_line, table
 from common.progress import progress_bar
 
@@ -45,20 +45,12 @@ def cases(samples: int) -> dict[Key, DriverCase]:
 def row(key: Key, trials: Sequence[DriverTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
     noise, rate_hz, late = key
-    counts = [
-        len(trials),
-        sum(trial.is_known for trial in trials),
-        sum(trial.is_near for trial in trials),
-        sum(trial.is_misfit for trial in trials),
-        sum(trial.claims for trial in trials),
-        sum(trial.false for trial in trials),
-    ]
-    return [f'{_speed(noise)}, {rate_hz:g} Hz, late by {late:g}', *map(str, counts)]
+    return [f'{_speed(noise)}, {rate_hz:g} Hz, late by {late:g}', *counts(trials)]
 
 
 def figures(trials: dict[Key, list[DriverTrial]]) -> list[Figure]:
     """Return the figures of a run, by speed: R of punctual drivers, and false claims of all."""
-    made = []
+    by_speed = []
     for noise in dict.fromkeys(key[0] for key in trials):
         own = {key: some for key, some in trials.items() if key[0] == noise}
         punctual = [one for key, some in own.items() if key[2] == 0.0 for one in some]
@@ -67,11 +59,11 @@ def figures(trials: dict[Key, list[DriverTrial]]) -> list[Figure]:
         claim_count = sum(trial.claims for trial in every)
         false_share = 100.0 * sum(trial.false for trial in every) / max(claim_count, 1)
         name = f'{_speed(noise)}, punctual: R identified and right, in % of motors'
-        made += [
+        by_speed += [
             Figure(name, known_share, (90.0, 100.0)),
             Figure('  false claims, in %', false_share, 2.0),
         ]
-    return made
+    return by_speed
 
 
 def _speed(noise: float | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +72,19 @@ class DriverTrial:
     false: int
 
 
+def counts(trials: Sequence[DriverTrial]) -> list[str]:
+    """Return how many motors there were, were known, right and misfits, and what was claimed."""
+    numbers = [
+        len(trials),
+        sum(trial.is_known for trial in trials),
+        sum(trial.is_near for trial in trials),
+        sum(trial.is_misfit for trial in trials),
+        sum(trial.claims for trial in trials),
+        sum(trial.false for trial in trials),
+    ]
+    return [*map(str, numbers)]
+
+
 def run_driver(case: DriverCase, seed: int) -> DriverTrial:
     """Draw a motor, record it, and run the observer without predictor over the record."""
     rng = np.random.default_rng([29, seed])
@@ -83,7 +97,7 @@ def run_driver(case: DriverCase, seed: int) -> DriverTrial:
     constants['back_emf_constant'] = motor.back_emf_constant
     flat: dict[str, object] = {f'{MOTOR}.{name}': value for name, value in constants.items()}
     observer = Observer(Configuration.from_flat(flat), None)
-    counts = np.zeros(2, dtype=int)
+    claim_counts = np.zeros(2, dtype=int)
     volts = [*voltage.tolist(), 0.0]
     torque = motor.torque_constant * current
     for place, (volt, reading, own_speed) in enumerate(zip(volts, torque, speeds, strict=True)):
@@ -92,12 +106,16 @@ def run_driver(case: DriverCase, seed: int) -> DriverTrial:
         results += observer.torque(MOTOR, stamp_ns, float(reading), float(own_speed))
         for result in results:
             if result.estimate is not None:
-                counts += claims(result.estimate, motor)
+                claim_counts += claims(result.estimate, motor)
     observer.finish()
     end = observer.estimates()[MOTOR]
     is_misfit = observer.fit(MOTOR).verdict is FitVerdict.MISFIT
     return DriverTrial(
-        is_known(end, motor), is_near(end, motor), is_misfit, int(counts[0]), int(counts[1])
+        is_known(end, motor),
+        is_near(end, motor),
+        is_misfit,
+        int(claim_counts[0]),
+        int(claim_counts[1]),
     )
 
 

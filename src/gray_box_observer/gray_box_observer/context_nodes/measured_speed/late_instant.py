@@ -58,7 +58,7 @@ class LateInstant:
             slopes.append(left[:, :-2])
             answers.append(left[:, -2])
             residuals.append(left[:, -1])
-        return cls._told(
+        return cls._projected_on(
             np.concatenate(slopes),
             np.concatenate(answers),
             np.concatenate(residuals),
@@ -66,7 +66,10 @@ class LateInstant:
         )
 
     @classmethod
-    def _told(cls, slopes: Array, answer: Array, residual: Array, noise_a: float) -> LateInstant:
+    def _projected_on(
+        cls, slopes: Array, answer: Array, residual: Array, noise_a: float
+    ) -> LateInstant:
+        """Project an answer on the slopes by the parameters, and the residual on what is left."""
         scale = np.linalg.norm(slopes, axis=0) + 1e-300
         both = np.column_stack([answer, residual])
         amounts = np.linalg.lstsq(slopes / scale, both, rcond=1e-9)[0] / scale[:, None]

@@ -183,11 +183,10 @@ class MeasuredSpeedUpdate:
     def late_instant(self) -> LateInstant | None:
         """What a voltage late by a part of an interval does to the newest fit that explains."""
         fit = self._outputs.output_fit
-        if fit is None or fit.current_lag_s > 0.0 or not fit.explains:
-            return None
-        if self._asked_fit is not fit:
+        if fit is not self._asked_fit:
             self._asked_fit = fit
-            self._late_instant = LateInstant.from_fit(fit)
+            is_usable = fit is not None and fit.current_lag_s <= 0.0 and fit.explains
+            self._late_instant = LateInstant.from_fit(fit) if fit and is_usable else None
         return self._late_instant
 
     @property
