@@ -34,6 +34,7 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples.replay_buffer import VOLTAGE
 
 SAMPLES = 3000
 STD_A = 0.05
@@ -364,6 +365,33 @@ def test_what_the_rule_does_not_believe_no_wider_deviation_makes_believed() -> N
     assert (judged.covariance != plain_covariance).any()
     np.testing.assert_array_equal(believed.covariance, plain_covariance)
     assert monitor.judged(nodes, believed, np.array([0])).verdicts == believed.verdicts
+
+
+@pytest.mark.slow
+def test_a_motor_that_has_become_another_one_is_not_believed_while_no_test_can_tell() -> None:
+    """What was tested was other values; a voltage that is held tells nothing of the present."""
+    motor = _healthy().observed().motors['motor']
+    observer = motor.observer
+    monitor = observer._fit
+    nodes = observer.context_nodes
+    estimate = nodes.estimate()
+    another = replace(estimate, value=estimate.value * [100.0, 1.0])
+    first = np.arange(1)
+    held = nodes.replay.newest(nodes.replay.stored(0)).copy()
+    held[VOLTAGE] = held[VOLTAGE, :, -1:]
+    nodes.replay.refill(held, dropped_count=nodes.replay.received_of(0) - held.shape[2])
+
+    assert monitor.begin(nodes, estimate, 0, motor.delay) is None
+    assert Verdict.IDENTIFIED in monitor.judged(nodes, estimate, first).verdicts[0]
+    assert monitor.begin(nodes, another, 0, motor.delay) is None
+    assert Verdict.IDENTIFIED not in monitor.judged(nodes, another, first).verdicts[0]
+    assert monitor.assessment(0).verdict is FitVerdict.UNTESTED
+
+    received_count = nodes.replay.received_of(0)
+    restored = FitMonitor([motor.configuration], [motor.white_box])
+    restored.restore(monitor.state(0, received_count), 0, received_count)
+    assert Verdict.IDENTIFIED not in restored.judged(nodes, another, first).verdicts[0]
+    assert restored.assessment(0).verdict is FitVerdict.UNTESTED
 
 
 @pytest.mark.slow

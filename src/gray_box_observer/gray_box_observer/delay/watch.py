@@ -7,13 +7,14 @@ by a clock: live and replayed samples lead to the same delay at the same sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
+from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
 from gray_box_observer.errors import CheckpointError
@@ -52,6 +53,9 @@ WORTH = 0.1
 
 COARSE_WORTH = 0.05
 STDS = 3.0
+
+LateInstantSource = Callable[[], LateInstant | None]
+"""Gives what the newest fit of current and speed tells of a voltage that acts late."""
 
 
 class DelayVerdict(str, Enum):
@@ -179,6 +183,7 @@ class DelayWatch:
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
         self.estimate = DelayEstimate(applied_s, is_estimated)
+        self._interval_s = math.nan  # of the signals that were searched last
         self._dropped_count = 0  # samples that were learnt and are in no history any more
         self._progress = _Progress(0)
 
@@ -189,8 +194,12 @@ class DelayWatch:
         samples: int = 1,
         *,
         is_awaited: bool = False,
+        late_instant: LateInstantSource | None = None,
     ) -> float | None:
         """Go on by one piece of work, where there is any.
+
+        The search takes a measured speed for exact. Its noise makes the inductance large, and a
+        delay that goes with it. What current and speed together rule out was not found.
 
         Args:
             history: raw measurements that led to the samples so far.
@@ -198,6 +207,7 @@ class DelayWatch:
             samples: how many have come since it was last called.
             is_awaited: whether somebody waits for what the sample has led to; the work then waits
                 for the next one.
+            late_instant: where the speed is measured.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
@@ -205,6 +215,8 @@ class DelayWatch:
         if history.restarts != self._progress.restarts:  # what was found stays
             self._dropped_count += self._progress.count
             self._progress = _Progress(history.restarts)
+        if self.estimate.verdict is DelayVerdict.UNDECLARED and late_instant is not None:
+            self._forget_ruled_out(late_instant())
         progress = self._progress
         progress.count += samples
         progress.is_put_off = is_awaited and not progress.is_put_off
@@ -220,8 +232,25 @@ class DelayWatch:
                 next(progress.work)
         except StopIteration as end:
             progress.work = None
-            return None if end.value is None else self._judge(end.value)
+            return None if end.value is None else self._judge_possible(end.value, late_instant)
         return None
+
+    def _judge_possible(
+        self, result: _Found, late_instant: LateInstantSource | None
+    ) -> float | None:
+        """Judge an outcome that current and speed together do not rule out."""
+        self._interval_s = result.interval_s
+        instant = None if late_instant is None else late_instant()
+        away = (result.delay_s - self.estimate.applied_s) / result.interval_s
+        return None if instant is not None and instant.rules_out(away) else self._judge(result)
+
+    def _forget_ruled_out(self, late_instant: LateInstant | None) -> None:
+        """Forget a delay that was found, where current and speed together rule it out."""
+        estimate = self.estimate
+        away = (estimate.value_s - estimate.applied_s) / self._interval_s
+        if late_instant is not None and late_instant.rules_out(away):
+            self._progress.before = None
+            self.estimate = DelayEstimate(estimate.applied_s, estimate.is_estimated)
 
     @property
     def searching(self) -> bool:

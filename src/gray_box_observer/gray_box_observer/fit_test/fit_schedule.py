@@ -173,6 +173,15 @@ class FitSchedule:
         calm_range = self._calm_ranges[0]
         return calm_range.has_passed and calm_range.covers(estimate)
 
+    def covers(self, motor: int, estimate: Estimate) -> bool:
+        """Tell whether a motor is the one that was tested.
+
+        Args:
+            motor: its place on the motor axis.
+            estimate: of this motor alone.
+        """
+        return self._calm_ranges[motor].covers(estimate)
+
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
         return motor in self._movers or not self._has_passed[motor]

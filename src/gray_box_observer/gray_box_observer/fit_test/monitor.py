@@ -16,7 +16,7 @@ from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.fit_test.assessment import FitAssessment
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
@@ -55,6 +55,7 @@ class FitMonitor:
         self._results: list[FitResult | None] = [None] * len(motors)
         self._assessments = [_UNTESTED] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
+        self._withheld_motors: set[int] = set()  # others than have passed, and not tested yet
         self._basis = SpeedBasis.from_form(white_boxes[0], len(motors))
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
@@ -92,13 +93,25 @@ class FitMonitor:
         subject = self._begin(nodes, estimate, motor, delay)
         test = self._tests[motor]
         count = subject.count(test.most)
-        if count < test.fewest:
-            self.schedule.put_off(motor, subject.place + test.fewest - count)
-            return None
-        if not test.can_tell(subject, count):
-            self.schedule.put_off(motor, subject.place + SHORTEST_WAIT)
+        wait = test.fewest - count if count < test.fewest else SHORTEST_WAIT
+        if count < test.fewest or not test.can_tell(subject, count):
+            self.schedule.put_off(motor, subject.place + wait)
+            self._doubt_another(motor, estimate)
             return None
         return test.pieces(subject.snapshot(), count)
+
+    def _doubt_another(self, motor: int, estimate: Estimate) -> None:
+        """Believe nothing of a motor that is another than the one that has passed."""
+        result = self._results[motor]
+        is_misfit = result is None or result.assessment.verdict is FitVerdict.MISFIT
+        if not is_misfit and not self.schedule.covers(motor, estimate):
+            self._withhold(motor)
+
+    def _withhold(self, motor: int) -> None:
+        """Believe nothing of a motor until its next test."""
+        self._withheld_motors.add(motor)
+        self._limits[motor] = EstimateLimit(self._tests[motor].white_box.parameters, None)
+        self._assessments[motor] = _UNTESTED
 
     def test_newest(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -132,6 +145,7 @@ class FitMonitor:
     def _keep(self, motor: int, result: FitResult | None) -> None:
         """Keep what a test has left, and how far that limits estimates."""
         self._results[motor] = result
+        self._withheld_motors.discard(motor)
         parameters = self._tests[motor].white_box.parameters
         names = [parameter.name for parameter in parameters]
         withheld = None
@@ -193,7 +207,8 @@ class FitMonitor:
         result = self._results[motor]
         saved_result = {} if result is None else result.state(received_count)
         later = {} if later_result is None else {'later': later_result.state(received_count)}
-        return {**self.schedule.state(motor, received_count), **saved_result, **later}
+        withheld = {'is_withheld': True} if motor in self._withheld_motors else {}
+        return {**self.schedule.state(motor, received_count), **saved_result, **withheld, **later}
 
     def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> FitResult | None:
         """Take back what :meth:`state` gave; return the result that does not count yet.
@@ -211,5 +226,7 @@ class FitMonitor:
         has_result = 'assessment' in plain
         result = FitResult.restored(plain, received_count) if has_result else None
         self._keep(motor, result)
+        if plain.get('is_withheld', False):
+            self._withhold(motor)
         self.schedule.restore(plain, motor, received_count, result)
         return later_result

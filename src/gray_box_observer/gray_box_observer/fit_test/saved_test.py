@@ -60,6 +60,8 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         whole(plain, 'soon', -MOST, MOST)
     if 'tested_at' in plain:
         whole(plain, 'tested_at', -MOST, MOST_AHEAD)
+    if 'is_withheld' in plain:
+        flag(plain, 'is_withheld')
     if 'assessment' in plain:
         check_saved_result(plain, parameters)
 

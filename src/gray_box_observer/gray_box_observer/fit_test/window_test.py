@@ -169,7 +169,7 @@ class MotorUnderTest:
             int(replay.remembered(one)[0]),
             speed_readings(nodes, count),
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
-            nodes.late_instant if isinstance(nodes, MeasuredSpeedUpdate) else None,
+            nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
         )
 
     def snapshot(self) -> MotorUnderTest:

@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
-from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.delay import DelayEstimate, DelayRound
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.form_choice import FormChoice
@@ -28,6 +28,7 @@ from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.samples.raw_history import RawHistory
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -420,6 +421,22 @@ class MotorObserver:
     def delay_of(self, motor: int) -> DelayEstimate:
         """What is known of the delay of one motor."""
         return self.delay.estimate_of(motor)
+
+    def watch_delay(self, history: RawHistory, stamp_ns: int, *, is_awaited: bool) -> float | None:
+        """Go on with the question of the delay; see :meth:`DelayWatch.update`.
+
+        Args:
+            history: raw measurements of the motors.
+            stamp_ns: of the newest sample.
+            is_awaited: whether somebody waits for what that has led to.
+        """
+        delay = self.delay
+        nodes = self.context_nodes
+        if isinstance(delay, DelayRound):
+            delay.update(history, stamp_ns, is_awaited=is_awaited)
+            return None
+        late_instant = nodes.late_instant if isinstance(nodes, MeasuredSpeedUpdate) else None
+        return delay.update(history, stamp_ns, is_awaited=is_awaited, late_instant=late_instant)
 
     def reconfigure(
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float

@@ -528,7 +528,7 @@ class Observer:
             )
             delay_s = None
             if not self._is_frozen:
-                delay_s = observer.delay.update(
+                delay_s = observer.watch_delay(
                     pairing.history, sample.stamp_ns, is_awaited=estimate is not None
                 )
             if delay_s is not None:

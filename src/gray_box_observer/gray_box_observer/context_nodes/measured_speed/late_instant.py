@@ -20,6 +20,9 @@ from gray_box_observer.white_box.interface import Array
 DISTINCT = 1e-6
 """Share of the answer that unknowns must not explain: of less nothing can be told."""
 
+STDS = 3.0
+"""Standard deviations by which readings may differ from those of a delay that is not ruled out."""
+
 
 @dataclass(frozen=True, eq=False)
 class LateInstant:
@@ -35,6 +38,15 @@ class LateInstant:
     shift: Array
     mean: float
     std: float
+
+    def rules_out(self, delay: float) -> bool:
+        """Tell whether the readings are those of a punctual voltage, and of none so late.
+
+        Args:
+            delay: in sample intervals; a voltage that is later than one is at least as late.
+        """
+        reach = STDS * self.std
+        return abs(self.mean) < reach < abs(self.mean - min(max(delay, -1.0), 1.0))
 
     @classmethod
     def from_fit(cls, fit: OutputFit) -> LateInstant:

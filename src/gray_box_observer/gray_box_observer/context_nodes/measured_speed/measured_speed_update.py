@@ -179,9 +179,11 @@ class MeasuredSpeedUpdate:
         """Weight of the newest value in the moving average that the current is; 0: it is none."""
         return self._smoothing_weight if self._is_noisy else 0.0
 
-    @property
     def late_instant(self) -> LateInstant | None:
-        """What a voltage late by a part of an interval does to the newest fit that explains."""
+        """Return what a voltage late by a part of an interval does to the newest fit, or None.
+
+        None where that fit explains nothing, or has a lag of the current.
+        """
         fit = self._outputs.output_fit
         if fit is not self._asked_fit:
             self._asked_fit = fit
