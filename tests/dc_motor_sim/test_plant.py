@@ -14,8 +14,8 @@ from dc_motor_sim.plant import MAX_SUBSTEPS, MOST_BY_NUMBERS, Plant, PlantParame
 THESIS = PlantParameters()
 
 
-def run(plant, voltage_v, duration_s, step_s=0.01):
-    state = plant.initial_state()
+def run(plant, voltage_v, duration_s, step_s=0.01, state=None):
+    state = plant.initial_state() if state is None else state
     voltage_v = np.atleast_1d(np.asarray(voltage_v, dtype=float))
     for _ in range(round(duration_s / step_s)):
         state = plant.step(
@@ -100,6 +100,24 @@ def test_the_dead_zone_of_the_driver_takes_its_voltage_and_all_of_a_smaller_one(
     for voltage_v, current_a in ((10.0, 8.0), (-10.0, -8.0), (1.5, 0.0), (-2.0, 0.0)):
         found_a = run(Plant([motor]), voltage_v, 10.0)[0, 0]
         assert found_a == pytest.approx(current_a / r, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize('others', [0, 12])
+def test_a_driver_that_coasts_lets_no_current_flow_at_a_command_of_zero(others: int) -> None:
+    motor = replace(
+        THESIS, hysteresis=0.0, inductance=0.01, coasting_resistance=100.0, dead_zone=0.5
+    )
+    plant = Plant([motor, *[replace(motor, coasting_resistance=0.0)] * others], 'rotor')
+    state = run(plant, 10.0, 1.0)
+    assert state[0, 0] > 5.0
+    for command_v in (0.0, 0.5, -0.5):
+        later = run(plant, command_v, 0.01, state=state)
+        assert abs(later[0, 0]) < 1e-12
+        assert later[0, 1] > 0.0
+        if others:  # that brake
+            assert abs(later[1, 0]) > 0.1
+    again = run(plant, 10.0, 1.0, state=run(plant, 0.0, 0.01, state=state))
+    assert again[0, 0] == pytest.approx(state[0, 0], rel=1e-3)
 
 
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])

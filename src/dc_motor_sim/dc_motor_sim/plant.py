@@ -99,6 +99,16 @@ class PlantParameters:
             1e3,
         ),
     )
+    coasting_resistance: float = field(
+        default=0.0,
+        metadata=about(
+            'resistance by which the current dies where a command of 0, or within the dead zone, '
+            'opens the winding; 0: the driver shorts it and brakes',
+            'ohm',
+            0.0,
+            1e6,
+        ),
+    )
     inertia: float = field(
         default=0.01, metadata=about('moment of inertia J of rotor and load', 'kg m^2', 1e-9, 1e6)
     )
@@ -183,6 +193,8 @@ class Plant:
         self._V0: FloatArray = columns['voltage_offset']
         self._dead_zone: FloatArray = columns['dead_zone']
         self._is_driver_ideal = not (self._V0.any() or self._dead_zone.any())
+        self._Rc: FloatArray = columns['coasting_resistance']
+        self._may_coast = bool(self._Rc.any())
         self._brushes = bool(columns['brush_drop'].any())
         self._has_fan = bool(columns['quadratic_friction'].any())
         self._rotor = speed_mode == 'rotor'
@@ -227,6 +239,7 @@ class Plant:
             PlantError: The state became non-finite; it names the first such motor by its place.
         """
         inner_v = self._inner_voltage(voltage_v)
+        open_ohm = self._open_resistance(voltage_v)
         load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         # An overflow becomes a named error below, so numpy's own warning would only repeat it.
         with np.errstate(over='ignore', invalid='ignore'):
@@ -234,13 +247,18 @@ class Plant:
                 after = np.array(
                     [
                         integrate(
-                            self._derivative(motor, volt, load, OF_NUMBERS), row, step_s, substeps
+                            self._derivative(motor, volt, load, ohm, OF_NUMBERS),
+                            row,
+                            step_s,
+                            substeps,
                         )
-                        for motor, row, volt, load in self._rows(state, inner_v, load_nm)
+                        for motor, row, volt, load, ohm in self._rows(
+                            state, inner_v, load_nm, open_ohm
+                        )
                     ]
                 )
             else:
-                derivative = self._derivative(self._columns, inner_v, load_nm, OF_ARRAYS)
+                derivative = self._derivative(self._columns, inner_v, load_nm, open_ohm, OF_ARRAYS)
                 columns = integrate(derivative, tuple(state.T), step_s, substeps)
                 after = np.stack(columns, axis=1)
         if not np.isfinite(after).all():
@@ -257,11 +275,21 @@ class Plant:
         return len(self.motors) <= MOST_BY_NUMBERS
 
     def _rows(
-        self, state: FloatArray, voltage_v: FloatArray, load_nm: FloatArray
-    ) -> Iterator[tuple[PlantParameters, State, float, float]]:
-        """Yield parameters, state, voltage and load of one motor after the other."""
-        states = map(tuple, state.tolist())
-        return zip(self.motors, states, voltage_v.tolist(), load_nm.tolist(), strict=True)
+        self,
+        state: FloatArray,
+        voltage_v: FloatArray,
+        load_nm: FloatArray,
+        open_ohm: FloatArray,
+    ) -> Iterator[tuple[PlantParameters, State, float, float, float]]:
+        """Yield parameters, state, voltage, load and coasting of one motor after the other."""
+        signals = (signal.tolist() for signal in (voltage_v, load_nm, open_ohm))
+        return zip(self.motors, map(tuple, state.tolist()), *signals, strict=True)
+
+    def _open_resistance(self, voltage_v: FloatArray) -> FloatArray:
+        """Return by what the current dies in ohm, shape (motor,); 0 where the winding is driven."""
+        if not self._may_coast:
+            return self._Rc
+        return np.where(np.abs(voltage_v) <= self._dead_zone, self._Rc, 0.0)
 
     def _inner_voltage(self, voltage_v: FloatArray) -> FloatArray:
         """Return the voltage in V that reaches the motor of the one that is published."""
@@ -272,7 +300,7 @@ class Plant:
         return inner_v
 
     def _derivative(
-        self, motor: Any, voltage_v: Any, load_nm: Any, functions: Functions
+        self, motor: Any, voltage_v: Any, load_nm: Any, open_ohm: Any, functions: Functions
     ) -> Derivative:
         """Return the time derivative of a state under a voltage (equation 4.4 in thesis mode).
 
@@ -280,6 +308,7 @@ class Plant:
             motor: Parameters of one motor, or arrays of those of all motors.
             voltage_v: The voltage that reaches it, or them.
             load_nm: Its load torque, or theirs.
+            open_ohm: By what its current dies where its winding is open, or theirs; else 0.
             functions: Of numbers, or of arrays.
         """
         L = motor.inductance
@@ -296,11 +325,14 @@ class Plant:
         lag_s = self.torque_lag_s
         has_brushes = self._brushes
         has_fan = self._has_fan
+        may_coast = self._may_coast
 
         def current_rate(current: Any, speed: Any) -> Any:
             drop = (R + K * abs(speed)) * current + Kb * speed
             if has_brushes:
                 drop = drop + V_b * tanh(current / BRUSH_SMOOTHING_A)
+            if may_coast:
+                return ((open_ohm <= 0.0) * (voltage_v - drop) - open_ohm * current) / L
             return (voltage_v - drop) / L
 
         def thesis(current: Any) -> State:
@@ -343,10 +375,10 @@ class Plant:
         inner_v = self._inner_voltage(voltage_v)
         load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         if self._is_by_numbers:
-            rows = self._rows(state, inner_v, load_nm)
+            rows = self._rows(state, inner_v, load_nm, self._open_resistance(voltage_v))
             fastest: float = max(
                 self._rate(motor, row, volt, load, step_s, OF_NUMBERS)
-                for motor, row, volt, load in rows
+                for motor, row, volt, load, _ in rows
             )
         else:
             rates = self._rate(self._columns, state.T, inner_v, load_nm, step_s, OF_ARRAYS)
@@ -367,6 +399,9 @@ class Plant:
         if self.torque_lag_s > 0.0:
             rate = STEPS_PER_TIME_CONSTANT / self.torque_lag_s
         motor = self._columns
+        if self._may_coast:
+            decay = STEPS_PER_TIME_CONSTANT * motor.coasting_resistance / motor.inductance
+            rate = max(rate, float(decay.max()))
         if self._brushes:
             brushes = motor.brush_drop / (BRUSH_SMOOTHING_A * motor.inductance)
             rate = max(rate, float(brushes.max()))

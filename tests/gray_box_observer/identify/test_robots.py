@@ -155,6 +155,14 @@ def dead_zone(now: Moment) -> list[Row]:
     ]
 
 
+def coasting(now: Moment) -> list[Row]:
+    kind = 'sensor_msgs/msg/JointState'
+    return [
+        ('/command', kind, joint_state(now, now.voltage_v, [])),
+        ('/joint_states', kind, joint_state(now, now.current_a, [now.speed_rad_s])),
+    ]
+
+
 def vesc(now: Moment) -> list[Row]:
     state = {
         'temp_motor': 40.0,
@@ -216,6 +224,7 @@ ROBOTS: list[Callable[[Moment], list[Row]]] = [
     dynamic_joint_states,
     duty_and_battery,
     dead_zone,
+    coasting,
     vesc,
     odrive,
     roboclaw,

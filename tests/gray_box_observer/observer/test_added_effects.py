@@ -196,6 +196,7 @@ def test_what_is_known_or_named_is_not_added() -> None:
         'motor.brush_drop': 0.6,
         'motor.known.voltage_offset': -0.1,
         'motor.known.dead_zone': 0.2,
+        'motor.coasting': True,
     }
     motors = [Configuration.from_flat(known).motors['motor']]
     choice = motor_observer(

@@ -186,6 +186,7 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
 
 
 COLOURED_NOISE = 'coloured_noise'
+COASTING = 'coasting'
 CHANGE = 'change'
 LOAD = 'load'
 
@@ -282,6 +283,7 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
     COLOURED_NOISE: 'take the filter off the torque signal, undo a moving average by '
     "torque.expression: unsmoothed(raw, WEIGHT), or sample more slowly: the sensor's noise has a "
     'memory',
+    COASTING: '{motor}.coasting: true  # the driver opens the winding at 0 V; or let it brake',
     LOAD: load_remedy(),
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""

@@ -16,6 +16,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.coasting import seems_to_coast
 from gray_box_observer.fit_test.current_lag import lag_shifts
 from gray_box_observer.fit_test.data_doubts import (
     doubt_of_range,
@@ -26,6 +27,7 @@ from gray_box_observer.fit_test.data_doubts import (
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import (
     CHANGE,
+    COASTING,
     COLOURED_NOISE,
     EFFECTS,
     ESTIMATED_REMEDIES,
@@ -65,7 +67,7 @@ from gray_box_observer.fit_test.suspects import (
 from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE, is_lone
 from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -156,6 +158,16 @@ class MotorUnderTest:
         # also after a restart: a checkpoint holds no more
         stored_count = min(replay.stored(motor), replay.capacity)
         count = min(stored_count, WINDOW)
+        content = replay.newest(count, one)
+        readings = speed_readings(nodes, count)
+        remembered_count = int(replay.remembered(one)[0])
+        lone = is_lone(content)
+        if lone.any():
+            counts = ~lone
+            content = content[:, :, counts]
+            readings = None if readings is None else readings[counts]
+            remembered_count = int(np.count_nonzero(counts[-min(remembered_count, count) :]))
+            stored_count = content.shape[2]
         return cls(
             estimate,
             delay,
@@ -164,10 +176,10 @@ class MotorUnderTest:
             replay.begin_of(motor),
             nodes.present_since(motor),
             nodes.is_drifting(motor),
-            replay.newest(count, one),
+            content,
             stored_count,
-            int(replay.remembered(one)[0]),
-            speed_readings(nodes, count),
+            remembered_count,
+            readings,
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
         )
@@ -401,6 +413,9 @@ class WindowTest:
                 suspects = suspects + stamp_suspects + self._suspects(analysis, candidates)
             if judgement.verdict is FitVerdict.MISFIT and not finding.suspects:
                 suspects = self._offsets(motor, analysis) + suspects
+            is_misfit = judgement.verdict is FitVerdict.MISFIT
+            if is_misfit and seems_to_coast(self.white_box, motor.content[:, 0]):
+                suspects = [self._of_coasting(analysis), *suspects]
         delay = finding.delay_suspect
         if delay is not None:
             suspects = with_delay(suspects, delay)
@@ -521,6 +536,11 @@ class WindowTest:
         if analysis.persistence > PERSISTENT:
             return self._of_load(analysis.whiteness)
         return Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])
+
+    def _of_coasting(self, analysis: ResidualAnalysis) -> Suspect:
+        """Name a driver that opens the winding at a command of 0."""
+        remedy = REMEDIES[COASTING].format(motor=self.configuration.name)
+        return Suspect(COASTING, analysis.whiteness, remedy)
 
     def _of_load(self, evidence: float) -> Suspect:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""

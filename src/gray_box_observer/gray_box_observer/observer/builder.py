@@ -128,7 +128,9 @@ def _form(
     def watch(motor: int) -> DelayWatch:
         initial = np.array([motors[motor].initial()])
         estimates_delay = first.estimates_delay
-        is_declared = boxes[motor].has_rotor or first.current_lag is not None
+        is_declared = (
+            boxes[motor].has_rotor or first.current_lag is not None or motors[motor].coasts
+        )
         kind_of_watch = DeclaredDelay if is_declared else DelayWatch
         return kind_of_watch(
             boxes[motor],
@@ -149,8 +151,8 @@ def _form(
     fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
     dead_zone_v = np.array([motor.dead_zone_v for motor in motors])
     path = None
-    if dead_zone_v.any() or first.current_lag is not None:
-        path = VoltagePath(dead_zone_v, first.current_lag)
+    if dead_zone_v.any() or first.current_lag is not None or first.coasts:
+        path = VoltagePath(dead_zone_v, first.current_lag, coasts=first.coasts)
     return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales, path)
 
 
@@ -205,7 +207,7 @@ def _open_effects(
         if any(source in SOURCES_OF.get(name, sources) for source in sources)
     ]
     # what a dead zone takes would lag, too; and a lag needs L/R beside it
-    if first.has_value(DEAD_ZONE) or not first.has_value('resistance'):
+    if first.has_value(DEAD_ZONE) or first.coasts or not first.has_value('resistance'):
         possible = [name for name in possible if name != CURRENT_LAG]
     if first.has_value(LOAD_TORQUE):  # of one that varies it would be a part
         possible = [name for name in possible if name != VARYING_LOAD]
@@ -243,7 +245,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         configuration['context_update'] != 'recursive' or configuration['variant'] != PHYSICS
     )
     alone = rules_alone or configuration.has_own_speed or motor.has_rotor
-    if alone or motor.estimates_delay or motor.mechanical_nodes:
+    if alone or motor.estimates_delay or motor.mechanical_nodes or motor.coasts:
         return None
     values = motor.values
     constants = frozenset(
@@ -287,7 +289,8 @@ def context_nodes(
     if len(motors) == 1 and can_be_output(white_box):
         first = motors[0]
         is_open = first.values['effects'] == 'auto' and not first.estimates_delay
-        finds_lag = is_open and not first.has_value(DEAD_ZONE)  # what that takes would lag, too
+        # what a dead zone takes would lag, too
+        finds_lag = is_open and not (first.has_value(DEAD_ZONE) or first.coasts)
         return MeasuredSpeedUpdate(
             white_box, initial, UNUSED_SEED, rules, verdicts, relative_std, mechanics,
             finds_lag=finds_lag,

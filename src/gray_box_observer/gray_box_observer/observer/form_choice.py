@@ -46,7 +46,12 @@ from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
+from gray_box_observer.settings.motor_configuration import (
+    COASTING,
+    CURRENT_LAG,
+    DEAD_ZONE,
+    VARYING_LOAD,
+)
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -66,6 +71,7 @@ NODES = {
     'current_lag': CURRENT_LAG,
     'delay': CURRENT_LAG,
     LOAD: LOAD_TORQUE,
+    COASTING: COASTING,
 }
 """Effect that a form may have for a suspected one, by the name of that. What is late by a part of
 a sample interval is a lag or a delay: a form knows the lag alone."""
@@ -398,6 +404,8 @@ class FormChoice:
         What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of
         these is tried first. They take turns, for a fit of a rotor costs most.
         """
+        if plain.source == ROTOR and fit.suspects and fit.suspects[0].effect == COASTING:
+            return [plain.with_effect(COASTING), plain]
         if plain.source != ROTOR or not self._pace.trials:
             return [plain]
         suspects = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]

@@ -23,7 +23,7 @@ from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
 from gray_box_observer.settings.sensor_lag import LARGEST_CHANGE, CurrentLag
 from gray_box_observer.white_box.interface import Array
 
@@ -100,13 +100,17 @@ class FormFitter:
     ) -> Pieces[FormFit]:
         """Fit a form to samples.
 
+        In the short histories of a driver that coasts the recursive rule is led astray by a noisy
+        speed.
+
         Args:
             kind: of the form.
             content: shape (signal, 1, n): the samples.
             before: the form that has learnt fewer of them, where it can go on; None: none has.
         """
         form = self._open.make(kind) if before is None or not before.can_go_on else before
-        estimate = yield from form.learn_remembered(content, self._stamp_ns)
+        asks_speed = COASTING in kind.effects
+        estimate = yield from form.learn_remembered(content, self._stamp_ns, asks_speed=asks_speed)
         return FormFit(kind, form, estimate)
 
     def again(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:

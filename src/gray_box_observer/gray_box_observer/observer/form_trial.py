@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.context_nodes.estimate import Verdict
 from gray_box_observer.context_nodes.pieces import (
     FINISHED,
     MOST_PIECES,
@@ -225,7 +226,8 @@ class FormTrial:
             fit = yield from self._fitter.settled(fit, newest)
             kind = fit.kind
             form = fit.form
-            if fit.is_misfit:
+            is_last = count == total
+            if fit.is_misfit and (is_last or kind.source == ROTOR or _has_settled(fit)):
                 return TrialOutcome(None, self._why_not(fit))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')
@@ -476,6 +478,11 @@ def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:
     if fit.verdict is FitVerdict.WARNING:
         return left_a < HALF * before_a
     return fit.verdict is FitVerdict.OK
+
+
+def _has_settled(fit: FormFit) -> bool:
+    """Tell whether few samples have told anything: what they leave open more of them may tell."""
+    return any(verdict is not Verdict.UNEXCITED for verdict in fit.estimate.verdicts[0])
 
 
 def _is_told(fit: FormFit) -> bool:

@@ -26,8 +26,13 @@ from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, O
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
-from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, without_lone
+from gray_box_observer.settings.motor_configuration import (
+    COASTING,
+    CURRENT_LAG,
+    DEAD_ZONE,
+    VARYING_LOAD,
+)
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -47,11 +52,11 @@ OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS, MEASURED: ROTOR}
 QUADRATIC_FRICTION = 'quadratic_friction'
 
 POSSIBLE_EFFECTS = (
-    *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG),
+    *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG, COASTING),
     *(LOAD_TORQUE, QUADRATIC_FRICTION, VARYING_LOAD),
 )
-"""Effects of driver, sensor and load that data may add: names of their context nodes, and two that
-have none, a lag of the current sensor and a load that varies."""
+"""Effects of driver, sensor and load that data may add: names of their context nodes, and three
+that have none, a lag of the current sensor, a driver that coasts and a load that varies."""
 
 SOURCES_OF = {
     LOAD_TORQUE: (ROTOR,),
@@ -70,6 +75,7 @@ _IN_WORDS = {
     OFFSET: 'an offset',
     DEAD_ZONE: 'a dead zone',
     CURRENT_LAG: 'a lag of the current',
+    COASTING: 'a driver that coasts',
     LOAD_TORQUE: 'a load',
     QUADRATIC_FRICTION: 'a quadratic friction',
     VARYING_LOAD: 'a load that varies',
@@ -196,7 +202,7 @@ class MotorForm:
         """
         nodes = self.context_nodes
         if self.voltage_path is not None:
-            content = self.voltage_path.follow_content(content)
+            content = without_lone(self.voltage_path.follow_content(content))
         work = WORK_A_SAMPLE * content.shape[2]
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
@@ -236,10 +242,18 @@ class MotorForm:
             content: shape (signal, 1, n): the samples, as they were measured.
             settle_s: time in s behind each start of a signal history that does not count.
         """
-        part = beyond_start(content, self.driven(content), settle_s)
+        path = self.voltage_path
+        open_a = np.empty(0)
+        if path is not None:  # where the winding is open no current flows
+            is_open = path.is_open(content)[0]
+            is_dead = is_open[1:] & is_open[:-1]  # at once, but for what it was driven by
+            open_a = self.white_box.state(content[TORQUE, 0, 1:][is_dead])
+        part = without_lone(beyond_start(content, self.driven(content), settle_s))
         if part.shape[2] == 0:
             return math.inf
-        return residual_a(self.white_box, self.context_nodes, part)
+        left_a = residual_a(self.white_box, self.context_nodes, part)
+        count = part.shape[2] + open_a.size
+        return math.sqrt((part.shape[2] * left_a**2 + float(open_a @ open_a)) / count)
 
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""

@@ -116,8 +116,8 @@ class MotorObserver:
         path = self._voltage_path
         if path is None:
             return self._predict(interval_s, voltage_v)
-        voltage_v = path.voltage(interval_s, voltage_v)
-        return self._predict(path.known_interval(interval_s), voltage_v)
+        known_interval_s = path.known_interval(interval_s, voltage_v)
+        return self._predict(known_interval_s, path.voltage(interval_s, voltage_v))
 
     def _predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque after a voltage as the white box takes it; changes nothing."""

@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
 from gray_box_observer.observer.motor_form import SOURCES_OF, FormKind, FormMaker
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
+from gray_box_observer.settings.motor_configuration import (
+    COASTING,
+    CURRENT_LAG,
+    DEAD_ZONE,
+    VARYING_LOAD,
+)
 from gray_box_observer.white_box.declaration import TERMS
 
 LARGEST_ZONE_V = TERMS[DEAD_ZONE].parameter.upper
@@ -41,8 +46,8 @@ class OpenForms:
         lag = kind.lag
         lag_is_known = lag is None or (CURRENT_LAG in effects and lag.is_possible)
         is_once = len(set(effects)) == len(effects)
-        if DEAD_ZONE in effects and CURRENT_LAG in effects:  # what the zone takes lags, too
-            return False
+        if CURRENT_LAG in effects and (DEAD_ZONE in effects or COASTING in effects):
+            return False  # what these take lags, too
         if VARYING_LOAD in effects and (LOAD_TORQUE in effects or CURRENT_LAG in effects):
             return False  # it has a constant part, too, and may look like anything that is slow
         return can_act and zone_is_known and lag_is_known and is_once

@@ -1,6 +1,7 @@
 """The way of a voltage from the command of the driver to the current that the sensor shows.
 
-A driver gives nothing for commands within its dead zone. A sensor that lags by first order shows
+A driver gives nothing for commands within its dead zone. One that coasts opens the winding there:
+nobody knows the voltage then, and no current flows. A sensor that lags by first order shows
 the current of a voltage that lags alike, for what is linear may change places. The white box holds
 its voltage over an interval, and a voltage that lags moves within it. Its place takes the constant
 voltage that brings a winding of the same time constant L/R to the same end
@@ -14,6 +15,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.errors import CheckpointError
@@ -47,11 +49,15 @@ class VoltagePath:
     Args:
         dead_zone_v: shape (motor,): commands up to which nothing drives a motor; 0: there are none.
         lag: of the current sensor, of one motor alone; None: there is none.
+        coasts: whether such commands open the winding, of one motor alone, without a lag.
     """
 
-    def __init__(self, dead_zone_v: Array, lag: CurrentLag | None = None) -> None:
+    def __init__(
+        self, dead_zone_v: Array, lag: CurrentLag | None = None, *, coasts: bool = False
+    ) -> None:
         self._dead_zone_v = dead_zone_v
         self._lag = lag
+        self._coasts = coasts
         self._lagging_v = np.zeros(dead_zone_v.shape)
         self._since_s = np.zeros(dead_zone_v.shape)  # the signal history began
         self._commands_v: deque[float] = deque(maxlen=LONGEST)
@@ -70,12 +76,15 @@ class VoltagePath:
         """
         return self._voltage_and_end(self._lagging_v, interval_s, command_v)[0]
 
-    def known_interval(self, interval_s: Array) -> Array:
-        """Return the next interval in s, shape (motor,); 0 while it is not known what lags.
+    def known_interval(self, interval_s: Array, command_v: Array) -> Array:
+        """Return the next interval in s, shape (motor,); 0 where its voltage is not known.
 
         Args:
             interval_s: as in :meth:`voltage`.
+            command_v: likewise.
         """
+        if self._coasts:
+            return np.where(self._opens(command_v), 0.0, interval_s)
         if self._lag is None:
             return interval_s
         since_s = self._since_s + interval_s
@@ -106,10 +115,11 @@ class VoltagePath:
         """
         if is_kept and self._is_alone:
             self._commands_v.append(float(sample.voltage_v[0]))
-        if self._lag is None:
-            return sample._replace(voltage_v=_outside(sample.voltage_v, self._dead_zone_v))
         interval_s = sample.interval_s
-        known_interval_s = self.known_interval(interval_s)
+        known_interval_s = self.known_interval(interval_s, sample.voltage_v)
+        if self._lag is None:
+            voltage_v = _outside(sample.voltage_v, self._dead_zone_v)
+            return sample._replace(voltage_v=voltage_v, interval_s=known_interval_s)
         voltage_v, self._lagging_v = self._voltage_and_end(
             self._lagging_v, interval_s, sample.voltage_v
         )
@@ -126,6 +136,22 @@ class VoltagePath:
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, motor, n), with the voltages; changes nothing."""
         return self._driven_to_end(content)[0]
+
+    def is_open(self, content: Array) -> NDArray[np.bool_]:
+        """Tell before which samples the winding was open, shape (motor, n).
+
+        Args:
+            content: shape (signal, motor, n): the samples, as they were measured.
+        """
+        if not self._coasts:
+            return np.zeros(content.shape[1:], dtype=bool)
+        opens: NDArray[np.bool_] = self._opens(content[VOLTAGE]) & (content[INTERVAL] > 0.0)
+        return opens
+
+    def _opens(self, command_v: Array) -> NDArray[np.bool_]:
+        """Tell of commands of one motor, any shape, whether they open its winding."""
+        opens: NDArray[np.bool_] = np.abs(command_v) <= self._dead_zone_v[0]
+        return opens
 
     @property
     def _is_alone(self) -> bool:
@@ -145,7 +171,9 @@ class VoltagePath:
 
         That is what lags in V, and how long the signal history has lasted in s, shape (motor,).
         """
+        is_open = self.is_open(content)
         content = content.copy()
+        content[INTERVAL][is_open] = 0.0
         voltage_v = _outside(content[VOLTAGE], self._dead_zone_v[:, None])
         content[VOLTAGE] = voltage_v
         lag = self._lag

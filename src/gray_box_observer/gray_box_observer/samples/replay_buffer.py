@@ -51,6 +51,22 @@ def check_signals(name: str, content: Any, motors: int = 1, longest: int | None 
         )
 
 
+def without_lone(content: Array) -> Array:
+    """Return samples of one motor without those that are a signal history each: they tell nothing.
+
+    Args:
+        content: shape (signal, 1, n).
+    """
+    return content[:, :, ~is_lone(content)]
+
+
+def is_lone(content: Array) -> NDArray[np.bool_]:
+    """Tell of samples of one motor, shape (signal, 1, n), which are a history each, (n,)."""
+    begins = np.append(content[INTERVAL, 0] <= 0.0, True)
+    lone: NDArray[np.bool_] = begins[:-1] & begins[1:]
+    return lone
+
+
 class ReplayBuffer:
     """Bounded memory of samples, one stream a motor.
 

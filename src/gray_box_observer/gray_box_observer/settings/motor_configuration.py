@@ -31,8 +31,9 @@ BACK_EMF = 'back_emf_constant'
 DEAD_ZONE = 'dead_zone'
 CURRENT_LAG = 'current_lag'
 VARYING_LOAD = 'varying_load'
-"""Effects that data may add and that are no context nodes: a lag of the current sensor, and a load
-that no term describes."""
+COASTING = 'coasting'
+"""Effects that data may add and that are no context nodes: a lag of the current sensor, a load that
+no term describes, and a driver that opens the winding at a command of 0."""
 
 INITIAL_DEAD_ZONE = f'initial.{DEAD_ZONE}'
 
@@ -203,8 +204,15 @@ class MotorConfiguration:
         is_stated = INITIAL_DEAD_ZONE in self.stated_names
         return float(self.values[INITIAL_DEAD_ZONE]) if is_stated else 0.0
 
+    @property
+    def coasts(self) -> bool:
+        """Whether a command of 0 opens the winding."""
+        return COASTING in self.added_effects or bool(self.values[COASTING])
+
     def has_value(self, name: str) -> bool:
-        """Tell whether a term is identified or known already."""
+        """Tell whether a term is identified or known already, or a driver known to coast."""
+        if name == COASTING:
+            return self.coasts
         return name in self.values['context_nodes'] or self._is_known(name)
 
     def _is_known(self, name: str) -> bool:

@@ -372,9 +372,15 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'auto',
         'auto adds to context_nodes what the data show of driver and sensor (brush_drop, '
         'voltage_offset, dead_zone) and on the shaft of a rotor (load_torque, quadratic_friction '
-        'of a fan); a lag of the current sensor (current_lag) and a load that varies '
-        '(varying_load) are added to the physics. none never adds anything.',
+        'of a fan); a lag of the current sensor (current_lag), a driver that coasts (coasting) and '
+        'a load that varies (varying_load) are added to the physics. none never adds anything.',
         choices=('auto', 'none'),
+    ),
+    ParameterSpec(
+        'coasting',
+        False,
+        'A voltage of 0 (up to dead_zone) opens the winding, and the motor coasts; else the driver '
+        'shorts it, and brakes. While it is open nothing is learnt.',
     ),
     ParameterSpec(
         'joint',

@@ -9,6 +9,7 @@ import numpy as np
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
 from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.replay_buffer import without_lone
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -32,10 +33,10 @@ def exact_residual(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Ar
         samples: shape (signal, n), as a replay buffer gives them.
 
     Returns:
-        Shape (n,): in A, what lies beyond 4.5 standard deviations drawn in; NaN where the values
-        cannot be run.
+        In A, what lies beyond 4.5 standard deviations drawn in; NaN where the values cannot be run.
+        Shape (n,), less for samples that are a signal history each.
     """
-    stretch = SampleWindow.of_content(white_box, samples[:, None])
+    stretch = SampleWindow.of_content(white_box, without_lone(samples[:, None]))
     limit = CREDIBLE * float(np.abs(stretch.state).max()) + 1e-9
     about = stretch.state
     start = stretch.state[:, 0]

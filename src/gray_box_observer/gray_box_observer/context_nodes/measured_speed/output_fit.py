@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     OUTLIER,
     difference_noise,
+    pooled_difference_noise,
 )
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
     LAG,
@@ -446,14 +447,14 @@ def _floor(window: Window) -> OutputNoise:
     speeds = [np.asarray(one.speed_rad_s) for one in histories]
     speed = np.concatenate(speeds)
     current_a = max(
-        min(difference_noise(one.current_a) for one in histories),
+        pooled_difference_noise([one.current_a for one in histories]),
         window.quantisation_std_a,
         LEAST_CURRENT_NOISE * window.spread_a,
         1e-12,
     )
     step = float(quantisation_step(speed[None])[0]) * STEP_TO_STD
     least = LEAST_NOISE * float(np.std(speed)) + 1e-12
-    noise = min(difference_noise(one) for one in speeds)
+    noise = pooled_difference_noise(speeds)
     return OutputNoise(current_a, max(noise, step, least), max(LESS_THAN_STEP * step, least), step)
 
 

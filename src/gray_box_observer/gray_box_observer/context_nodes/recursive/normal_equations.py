@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -101,7 +102,20 @@ def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(No
         signal: shape (n,).
         smooth: shape (n - 2,): which second differences count.
     """
-    second = (signal[2:] - 2.0 * signal[1:-1] + signal[:-2])[smooth]
+    return _noise_of_differences(_second_differences(signal)[smooth])
+
+
+def pooled_difference_noise(signals: Sequence[Array]) -> float:
+    """Return the same of several smooth signals, shape (n,) each, whose noise is one."""
+    return _noise_of_differences(np.concatenate([*map(_second_differences, signals)]))
+
+
+def _second_differences(signal: Array) -> Array:
+    differences: Array = signal[2:] - 2.0 * signal[1:-1] + signal[:-2]
+    return differences
+
+
+def _noise_of_differences(second: Array) -> float:
     return MAD_TO_STD / math.sqrt(6.0) * float(median(np.abs(second)))
 
 
