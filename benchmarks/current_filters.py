@@ -14,8 +14,9 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-from common.driver_runs import DriverCase, DriverTrial, counts, run_driver
+from common.driver_runs import DriverCase, run_driver
 from common.figures import Figure, figure_table, last_line, table
+from common.motor_trial import MotorTrial, counts
 from common.progress import progress_bar
 
 MOTORS = 10
@@ -50,12 +51,12 @@ def cases(duration_s: float) -> dict[tuple[str, str], list[DriverCase]]:
     }
 
 
-def row(speed: str, name: str, trials: Sequence[DriverTrial]) -> list[str]:
+def row(speed: str, name: str, trials: Sequence[MotorTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
     return [f'{speed}, filter: {name}', *counts(trials)]
 
 
-def figures(trials: dict[tuple[str, str], list[DriverTrial]]) -> list[Figure]:
+def figures(trials: dict[tuple[str, str], list[MotorTrial]]) -> list[Figure]:
     """Return the figures of a run: false claims of all filters together, by speed."""
     made = []
     for speed in dict.fromkeys(speed for speed, _ in trials):
@@ -83,7 +84,7 @@ def main() -> int:
     count = options.motors or (QUICK_MOTORS if options.quick else MOTORS)
     seeds = range(options.first_seed, options.first_seed + count)
     chosen_cases = cases(QUICK_S if options.quick else DURATION_S)
-    trials: dict[tuple[str, str], list[DriverTrial]] = {}
+    trials: dict[tuple[str, str], list[MotorTrial]] = {}
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = {
             key: [pool.map(partial(run_driver, case), seeds) for case in some]

@@ -13,8 +13,9 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-from common.driver_runs import DriverCase, DriverTrial, counts, run_driver
+from common.driver_runs import DriverCase, run_driver
 from common.figures import Figure, figure_table, last_line, table
+from common.motor_trial import MotorTrial, counts
 from common.progress import progress_bar
 
 MOTORS = 12
@@ -42,13 +43,13 @@ def cases(samples: int) -> dict[Key, DriverCase]:
     }
 
 
-def row(key: Key, trials: Sequence[DriverTrial]) -> list[str]:
+def row(key: Key, trials: Sequence[MotorTrial]) -> list[str]:
     """Return what came of the motors of a case, as a row of the table."""
     noise, rate_hz, late = key
     return [f'{_speed(noise)}, {rate_hz:g} Hz, late by {late:g}', *counts(trials)]
 
 
-def figures(trials: dict[Key, list[DriverTrial]]) -> list[Figure]:
+def figures(trials: dict[Key, list[MotorTrial]]) -> list[Figure]:
     """Return the figures of a run, by speed: R of punctual drivers, and false claims of all."""
     by_speed = []
     for noise in dict.fromkeys(key[0] for key in trials):
@@ -83,7 +84,7 @@ def main() -> int:
     count = options.motors or (QUICK_MOTORS if options.quick else MOTORS)
     seeds = range(options.first_seed, options.first_seed + count)
     chosen_cases = cases(QUICK_SAMPLES if options.quick else SAMPLES)
-    trials: dict[Key, list[DriverTrial]] = {}
+    trials: dict[Key, list[MotorTrial]] = {}
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = {
             key: pool.map(partial(run_driver, case), seeds) for key, case in chosen_cases.items()

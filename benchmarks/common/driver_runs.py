@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from common.claims import claims, is_known, is_near, noisy_readings
+from common.claims import noisy_readings
 from common.motion import FloatArray
+from common.motor_trial import MotorTrial, observed_trial
 from common.rotor.records import random_levels
 from common.trust.motors import Motor, gear_motor
 from common.trust.plant import Plant
-from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.observer.observer import Observer
-from gray_box_observer.settings.configuration import Configuration
 
-MOTOR = 'motor'
 STEPS = 50
 """Steps of the plant in a sample interval, at least."""
 
@@ -54,68 +50,15 @@ class DriverCase:
     noise: float = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class DriverTrial:
-    """What came of one motor.
-
-    Attributes:
-        is_known: whether R is identified and right at the end.
-        is_near: whether R is right, whatever its verdict.
-        is_misfit: whether the white box does not explain it, at the end.
-        claims, false: identified L and R over all estimates, and those of them that were false.
-    """
-
-    is_known: bool
-    is_near: bool
-    is_misfit: bool
-    claims: int
-    false: int
-
-
-def counts(trials: Sequence[DriverTrial]) -> list[str]:
-    """Return how many motors there were, were known, right and misfits, and what was claimed."""
-    numbers = [
-        len(trials),
-        sum(trial.is_known for trial in trials),
-        sum(trial.is_near for trial in trials),
-        sum(trial.is_misfit for trial in trials),
-        sum(trial.claims for trial in trials),
-        sum(trial.false for trial in trials),
-    ]
-    return [*map(str, numbers)]
-
-
-def run_driver(case: DriverCase, seed: int) -> DriverTrial:
+def run_driver(case: DriverCase, seed: int) -> MotorTrial:
     """Draw a motor, record it, and run the observer without predictor over the record."""
     rng = np.random.default_rng([29, seed])
     motor = gear_motor(rng)
     voltage = random_levels(case.rate_hz, case.duration_s, rng)
     current, speed = _measured(case, motor, voltage, rng)
     readings = noisy_readings(speed[None], case.speed_noise, rng)
-    speeds = np.full(speed.size, math.nan) if readings is None else readings[0]
-    constants = {'torque_constant': motor.torque_constant}
-    constants['back_emf_constant'] = motor.back_emf_constant
-    flat: dict[str, object] = {f'{MOTOR}.{name}': value for name, value in constants.items()}
-    observer = Observer(Configuration.from_flat(flat), None)
-    claim_counts = np.zeros(2, dtype=int)
-    volts = [*voltage.tolist(), 0.0]
-    torque = motor.torque_constant * current
-    for place, (volt, reading, own_speed) in enumerate(zip(volts, torque, speeds, strict=True)):
-        stamp_ns = round(place / case.rate_hz * 1e9)
-        results = observer.voltage(MOTOR, stamp_ns, volt)
-        results += observer.torque(MOTOR, stamp_ns, float(reading), float(own_speed))
-        for result in results:
-            if result.estimate is not None:
-                claim_counts += claims(result.estimate, motor)
-    observer.finish()
-    end = observer.estimates()[MOTOR]
-    is_misfit = observer.fit(MOTOR).verdict is FitVerdict.MISFIT
-    return DriverTrial(
-        is_known(end, motor),
-        is_near(end, motor),
-        is_misfit,
-        int(claim_counts[0]),
-        int(claim_counts[1]),
+    return observed_trial(
+        motor, voltage, current, None if readings is None else readings[0], case.rate_hz
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import current_filters
 import numpy as np
 import pytest
-from common.driver_runs import DriverTrial, moving_average, run_driver
+from common.driver_runs import moving_average, run_driver
+from common.motor_trial import MotorTrial
 
 
 def test_a_moving_average_weighs_the_newest_reading_most() -> None:
@@ -15,8 +16,8 @@ def test_a_moving_average_weighs_the_newest_reading_most() -> None:
 
 
 def test_rows_and_figures_count_motors_and_claims() -> None:
-    good = DriverTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
-    bad = DriverTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
+    good = MotorTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
+    bad = MotorTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
     row = current_filters.row('no speed', 'none', [good, good, bad])
     assert row == ['no speed, filter: none', '3', '2', '2', '1', '21', '3']
     trials = {('no speed', 'none'): [good, good], ('no speed', 'mean'): [bad]}

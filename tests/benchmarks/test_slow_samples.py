@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 import slow_samples
-from common.driver_runs import DriverTrial, run_driver
+from common.driver_runs import run_driver
+from common.motor_trial import MotorTrial
 
 
 def test_rows_and_figures_count_motors_and_claims() -> None:
-    good = DriverTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
-    bad = DriverTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
+    good = MotorTrial(is_known=True, is_near=True, is_misfit=False, claims=9, false=0)
+    bad = MotorTrial(is_known=False, is_near=False, is_misfit=True, claims=3, false=3)
     row = slow_samples.row((None, 50.0, 0.3), [good, good, bad])
     assert row == ['no speed, 50 Hz, late by 0.3', '3', '2', '2', '1', '21', '3']
     trials = {(None, 50.0, 0.0): [good, good], (0.01, 50.0, 0.5): [bad]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, sampl
 
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
+from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.observer import Observer
@@ -258,3 +261,20 @@ def test_windows_follow_one_another_without_a_gap() -> None:
     plain, _ = update.state()
     assert plain['remembers']
     assert starts == {len(recorded().stamp_ns) + plain['mark'] - WINDOW}
+
+
+@pytest.mark.parametrize(
+    ('share', 'away', 'contradicts'),
+    [(1.0, 0.1, False), (1.0, 6.0, True), (1e-8, 0.1, False)],
+    ids=['agrees', 'another motor', 'a window that tells next to nothing'],
+)
+def test_only_a_window_that_tells_something_contradicts_what_is_known(
+    share: float, away: float, contradicts: bool
+) -> None:
+    """The tolerance of a fit is no move of the motor, however little the window knows."""
+    learner = WindowLearner(BOX, INITIAL, None, 50.0)
+    precision = 1e6 * np.eye(len(NODES))
+    learner.memory = LogPrior(np.log(THETA), precision)
+    moved = np.log(THETA) + away * 1e-3
+    fit: Any = SimpleNamespace(logarithms=moved, information=share * precision)
+    assert learner._contradicts(fit) == contradicts

@@ -413,8 +413,8 @@ class WindowTest:
                 suspects = suspects + stamp_suspects + self._suspects(analysis, candidates)
             if judgement.verdict is FitVerdict.MISFIT and not finding.suspects:
                 suspects = self._offsets(motor, analysis) + suspects
-            is_misfit = judgement.verdict is FitVerdict.MISFIT
-            if is_misfit and seems_to_coast(self.white_box, motor.content[:, 0]):
+            is_poor = judgement.verdict is not FitVerdict.OK
+            if is_poor and seems_to_coast(self.white_box, motor.content[:, 0]):
                 suspects = [self._of_coasting(analysis), *suspects]
         delay = finding.delay_suspect
         if delay is not None:

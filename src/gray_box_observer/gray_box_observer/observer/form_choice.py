@@ -315,7 +315,7 @@ class FormChoice:
         if fit.verdict is FitVerdict.MISFIT:
             return self._change_count >= NEWEST or not self._may_have_changed(fit)
         is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
-        return self._is_uneasy(fit) and (likeliest == ROTOR or is_late)
+        return self._is_uneasy(fit) and (likeliest in (ROTOR, COASTING) or is_late)
 
     def _is_uneasy(self, fit: FitAssessment) -> bool:
         """Tell whether a fit warns, or leaves so much beside a hidden speed that nothing counts."""

@@ -37,7 +37,12 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
+from gray_box_observer.settings.motor_configuration import (
+    COASTING,
+    CURRENT_LAG,
+    DEAD_ZONE,
+    VARYING_LOAD,
+)
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -226,8 +231,9 @@ class FormTrial:
             fit = yield from self._fitter.settled(fit, newest)
             kind = fit.kind
             form = fit.form
-            is_last = count == total
-            if fit.is_misfit and (is_last or kind.source == ROTOR or _has_settled(fit)):
+            may_settle = kind.source != ROTOR or COASTING in kind.effects
+            is_open = may_settle and count < total and not _has_settled(fit)
+            if fit.is_misfit and not is_open:
                 return TrialOutcome(None, self._why_not(fit))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')

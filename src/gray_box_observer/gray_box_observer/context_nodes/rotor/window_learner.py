@@ -54,6 +54,9 @@ POOR = 1.5
 HOPELESS = 4.5
 """The same from which the motor is called a misfit, and more samples are not asked."""
 
+LEAST_SHARE = 0.01
+"""Information of a window, over that of what is remembered, from which it may contradict that."""
+
 
 class WindowLearner:
     """Context nodes of one motor with a rotor, and what is known of them.
@@ -242,14 +245,22 @@ class WindowLearner:
         )
 
     def _contradicts(self, fit: Fit) -> bool:
-        """Tell whether a window says other than what was known before it."""
+        """Tell whether a window says other than what was known before it.
+
+        The fit knows both. By how much the window alone would move it follows from its own
+        information, and where that is a small share of the memory's nothing does: there the
+        tolerance of the fit would be taken for a move.
+        """
         if self.memory is None:
             return False
-        apart = fit.logarithms - self.memory.mean
-        gradient = self.memory.precision @ apart
-        chi_square = float(
-            apart @ gradient + gradient @ np.linalg.lstsq(fit.information, gradient, rcond=1e-12)[0]
-        )
+        sharp = np.flatnonzero(np.diagonal(self.memory.precision) > 0.0)
+        precisions, axes = np.linalg.eigh(self.memory.precision[np.ix_(sharp, sharp)])
+        root = axes * np.sqrt(np.maximum(precisions, 0.0))
+        pull = root.T @ (fit.logarithms - self.memory.mean)[sharp]
+        spread = root.T @ _inverse(fit.information)[np.ix_(sharp, sharp)] @ root
+        variances, directions = np.linalg.eigh(spread)
+        pulls = directions.T @ pull
+        chi_square = float((1.0 + np.minimum(variances, 1.0 / LEAST_SHARE)) @ pulls**2)
         return not chi_square < self._drift_threshold
 
     def _prior(self) -> LogPrior:
