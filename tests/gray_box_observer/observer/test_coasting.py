@@ -148,3 +148,19 @@ def test_samples_that_are_a_history_each_are_lone() -> None:
     content[0, 0] = [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
     assert is_lone(content).tolist() == [False, False, True, False, False, True]
     assert without_lone(content)[0, 0].tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('speed', [True, False], ids=['measured', 'hidden'])
+def test_a_motor_that_coasts_for_long_forgets_nothing_and_stops_at_nothing(speed: bool) -> None:
+    rng = np.random.default_rng(5)
+    lively_v = np.repeat(rng.uniform(-12.0, 12.0, 20), 100)
+    rest_v = np.zeros(SAMPLES - lively_v.size)
+    record = driven(COASTING, np.concatenate([lively_v, rest_v]))
+    observer = _observed(record, speed=speed, end=5000, **{'motor.coasting': True})
+    motor = observer.motors['motor']
+    assert motor.estimate.value[0, 1] == pytest.approx(GEAR_MOTOR.resistance, rel=0.01)
+    assert observer.counts('motor').rejected.total() == 0
+    rest = driven(COASTING, np.zeros(SAMPLES))
+    idle = _observed(rest, speed=speed, end=1000, **{'motor.coasting': True})
+    assert not any(idle.parameters_identified('motor'))

@@ -166,7 +166,8 @@ class MotorUnderTest:
             counts = ~lone
             content = content[:, :, counts]
             readings = None if readings is None else readings[counts]
-            remembered_count = int(np.count_nonzero(counts[-min(remembered_count, count) :]))
+            oldest = count - min(remembered_count, count)
+            remembered_count = int(np.count_nonzero(counts[oldest:]))
             stored_count = content.shape[2]
         return cls(
             estimate,

@@ -202,7 +202,9 @@ class MotorForm:
         """
         nodes = self.context_nodes
         if self.voltage_path is not None:
-            content = without_lone(self.voltage_path.follow_content(content))
+            path_content = self.voltage_path.follow_content(content)
+            telling_content = without_lone(path_content)
+            content = telling_content if telling_content.shape[2] else path_content
         work = WORK_A_SAMPLE * content.shape[2]
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):

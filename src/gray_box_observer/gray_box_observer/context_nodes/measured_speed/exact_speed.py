@@ -36,7 +36,10 @@ def exact_residual(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Ar
         In A, what lies beyond 4.5 standard deviations drawn in; NaN where the values cannot be run.
         Shape (n,), less for samples that are a signal history each.
     """
-    stretch = SampleWindow.of_content(white_box, without_lone(samples[:, None]))
+    content = without_lone(samples[:, None])
+    if content.shape[2] == 0:
+        return np.empty(0)
+    stretch = SampleWindow.of_content(white_box, content)
     limit = CREDIBLE * float(np.abs(stretch.state).max()) + 1e-9
     about = stretch.state
     start = stretch.state[:, 0]
@@ -69,5 +72,7 @@ def whiteness(residual: Array) -> float:
 
 def log_likelihood_ratio(residual: Array, std: float) -> float:
     """How much likelier white noise of a standard deviation is than that of a residual."""
+    if residual.size == 0:
+        return 0.0
     size = math.sqrt(float(np.mean(residual**2)))
     return residual.size * math.log(max(size, 1e-300) / max(std, 1e-300))
