@@ -282,7 +282,7 @@ class Plant:
         load_nm: FloatArray,
         open_ohm: FloatArray,
     ) -> Iterator[tuple[PlantParameters, State, float, float, float]]:
-        """Yield parameters, state, voltage, load and coasting of one motor after the other."""
+        """Yield parameters, state, voltage, load, and what opens the winding, of every motor."""
         signals = (signal.tolist() for signal in (voltage_v, load_nm, open_ohm))
         return zip(self.motors, map(tuple, state.tolist()), *signals, strict=True)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from rotor_motors import BOX, KT, THETA
@@ -63,3 +65,20 @@ def test_a_late_voltage_moves_r_as_the_shift_says_and_is_told(late: float) -> No
     assert off == pytest.approx(-late * instant.shift[1], rel=0.5)
     assert instant.mean > 5.0 * instant.std
     assert late / 3.0 < instant.mean < 1.5 * late
+
+
+@pytest.mark.parametrize(
+    ('mean', 'std', 'delay', 'is_ruled_out'),
+    [
+        (0.0, 0.1, -1.2, True),
+        (0.0, 0.1, 9.0, True),
+        (0.0, 0.1, 0.2, False),  # within three deviations
+        (0.5, 0.1, 2.0, False),  # no punctual voltage either
+        (0.0, math.inf, 5.0, False),  # nothing is told
+    ],
+)
+def test_a_delay_is_ruled_out_by_readings_of_a_punctual_voltage(
+    mean: float, std: float, delay: float, is_ruled_out: bool
+) -> None:
+    assert LateInstant(np.zeros(2), mean, std).rules_out(delay) == is_ruled_out
+    assert not LateInstant(np.zeros(2), mean, std).rules_out(math.nan)

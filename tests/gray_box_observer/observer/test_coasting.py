@@ -13,6 +13,7 @@ from rotor_records import CONSTANTS, GEAR_MOTOR, driven
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.coasting import seems_to_coast
 from gray_box_observer.observer.motor_view import MotorView
@@ -164,3 +165,37 @@ def test_a_motor_that_coasts_for_long_forgets_nothing_and_stops_at_nothing(speed
     rest = driven(COASTING, np.zeros(SAMPLES))
     idle = _observed(rest, speed=speed, end=1000, **{'motor.coasting': True})
     assert not any(idle.parameters_identified('motor'))
+
+
+def test_a_motor_that_brakes_within_an_interval_or_two_does_not_seem_to_coast() -> None:
+    content = _content(_recorded(GEAR_MOTOR))
+    slow = content[:, :, ::50].copy()  # 20 Hz; a rotor stops in one interval
+    slow[1, 0, 1:] = content[1, 0, 50::50]
+    slow[0, 0, 1:] = 0.05
+    assert not seems_to_coast(BOX, slow[:, 0])
+
+
+def test_no_delay_is_estimated_beside_a_driver_that_coasts() -> None:
+    values = {**CONSTANTS, 'motor.coasting': True, 'motor.delay': 'estimate'}
+    with pytest.raises(ConfigurationError, match=r'motor\.delay in s'):
+        Configuration.from_flat(values)
+
+
+@pytest.mark.slow
+def test_who_has_stated_what_was_found_goes_on_with_it(tmp_path: Path) -> None:
+    found = _observed(_recorded(COASTING), speed=False)
+    path = tmp_path / 'motor.safetensors'
+    checkpoint.save(found, path)
+    stated = Observer(Configuration.from_flat({**CONSTANTS, 'motor.coasting': True}))
+    checkpoint.load(stated, path)
+    motor = stated.motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.added_effects == ()
+    _check_resistance(motor)
+
+
+def test_a_command_that_opens_the_winding_is_told_from_others() -> None:
+    path = VoltagePath(np.array([0.5]), coasts=True)
+    assert path.opens(np.array([-0.4]))
+    assert not path.opens(np.array([0.6]))
+    assert not VoltagePath(np.array([0.5])).opens(np.array([0.0]))

@@ -239,10 +239,16 @@ class DelayWatch:
         self, result: _Found, late_instant: LateInstantSource | None
     ) -> float | None:
         """Judge an outcome that current and speed together do not rule out."""
+        estimate = self.estimate
         self._interval_s = result.interval_s
         instant = None if late_instant is None else late_instant()
-        away = (result.delay_s - self.estimate.applied_s) / result.interval_s
-        return None if instant is not None and instant.rules_out(away) else self._judge(result)
+        away = (result.delay_s - estimate.applied_s) / result.interval_s
+        if instant is None or not instant.rules_out(away):
+            return self._judge(result)
+        self._progress.before = None
+        if estimate.verdict is DelayVerdict.SUSPECTED:
+            self.estimate = replace(estimate, verdict=DelayVerdict.UNKNOWN)
+        return None
 
     def _forget_ruled_out(self, late_instant: LateInstant | None) -> None:
         """Forget a delay that was found, where current and speed together rule it out."""
@@ -422,6 +428,7 @@ class DelayWatch:
             'verdict': estimate.verdict.name,
             'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
             'learnt': self._dropped_count + self._progress.count,
+            'interval_s': None if math.isnan(self._interval_s) else self._interval_s,
         }
 
     def restore(self, plain: dict[str, Any], motor: int = 0) -> None:
@@ -436,6 +443,9 @@ class DelayWatch:
             number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s')
         )
         learnt_count = whole(plain, 'learnt')
+        interval_s = None
+        if 'interval_s' in plain:  # not in files of early releases
+            interval_s = number_or_none(plain, 'interval_s', 0.0, LARGEST)
         word = entry(plain, 'verdict')
         if not isinstance(word, str) or word not in DelayVerdict.__members__:
             raise CheckpointError(
@@ -445,6 +455,7 @@ class DelayWatch:
             return
         self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
         self._dropped_count = learnt_count
+        self._interval_s = math.nan if interval_s is None else interval_s
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
         self.estimate = DelayEstimate(
             applied_s, self.estimate.is_estimated, value_s, std_s, DelayVerdict[word]

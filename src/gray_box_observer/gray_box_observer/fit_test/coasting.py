@@ -13,8 +13,9 @@ from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 FIRST, LAST = 2, 5
-"""Intervals after a command has become 0 whose ends are looked at: the current has died by then,
-and the rotor turns yet."""
+"""Intervals after a command has become 0 at whose ends no current may flow: it has died by then,
+and the rotor turns yet. Before that it may not flow against the command: a shorted winding lets it,
+also where the rotor then stops within an interval or two."""
 
 FEWEST = 2
 """Such commands from which that tells something."""
@@ -48,4 +49,9 @@ def seems_to_coast(white_box: WhiteBox, samples: Array) -> bool:
     is_early = (since >= FIRST) & (since <= LAST)
     if np.count_nonzero(since == FIRST) < FEWEST:
         return False
-    return root_mean_square(current_a[is_early]) < QUIET * root_mean_square(current_a[is_driven])
+    braking_a = np.minimum(current_a * np.sign(voltage_v[last_driven]), 0.0)
+    most_a = QUIET * root_mean_square(current_a[is_driven])
+    is_first = (since > 0) & (since < FIRST)
+    return root_mean_square(current_a[is_early]) < most_a and (
+        root_mean_square(braking_a[is_first]) < most_a
+    )

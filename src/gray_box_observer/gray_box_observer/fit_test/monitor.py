@@ -55,7 +55,7 @@ class FitMonitor:
         self._results: list[FitResult | None] = [None] * len(motors)
         self._assessments = [_UNTESTED] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
-        self._withheld_motors: set[int] = set()  # others than have passed, and not tested yet
+        self._withheld_motors: set[int] = set()  # changed since they passed; not tested yet
         self._basis = SpeedBasis.from_form(white_boxes[0], len(motors))
         fewest = np.array([test.fewest for test in self._tests])
         self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
@@ -101,7 +101,10 @@ class FitMonitor:
         return test.pieces(subject.snapshot(), count)
 
     def _doubt_another(self, motor: int, estimate: Estimate) -> None:
-        """Believe nothing of a motor that is another than the one that has passed."""
+        """Withhold an estimate that has moved since the motor passed its test.
+
+        The test that would tell cannot be made yet, and the one that was made was of other values.
+        """
         result = self._results[motor]
         is_misfit = result is None or result.assessment.verdict is FitVerdict.MISFIT
         if not is_misfit and not self.schedule.covers(motor, estimate):

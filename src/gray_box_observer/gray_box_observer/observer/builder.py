@@ -46,6 +46,7 @@ from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.settings.motor_configuration import (
+    COASTING,
     CURRENT_LAG,
     DEAD_ZONE,
     VARYING_LOAD,
@@ -99,6 +100,8 @@ def motor_observer(
         return _form(configuration, [motor], training, speed_measured=has_speed)
 
     choice = _form_choice(configuration, motors, make, speed_measured=uses_speed)
+    if kind is not None and first.coasts:  # what was found may have been stated since
+        kind = kind.without(COASTING)
     if kind is not None and kind != choice.kind and choice.may_take(kind):
         form = choice.form_of(kind)
     elif kind is not None and kind.lag is not None:

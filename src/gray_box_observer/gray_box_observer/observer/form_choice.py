@@ -347,7 +347,10 @@ class FormChoice:
             plain = None
         elif self.kind.source == MEASURED and plain is not None:
             kinds += self._with_rotor(plain, fit)
-        suspects = fit.suspects[:1] if self.kind.source == ROTOR else fit.suspects
+        suspects = fit.suspects
+        if self.kind.source == ROTOR:  # the likeliest; coasting takes the place of none
+            likeliest = [one for one in suspects if one.effect != COASTING][:1]
+            suspects = tuple(one for one in suspects if one.effect == COASTING or one in likeliest)
         is_vague = not suspects or suspects[0].effect == COLOURED_NOISE
         if self.kind.source == ROTOR and self._is_uneasy(fit) and is_vague:
             kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing

@@ -202,9 +202,7 @@ class MotorForm:
         """
         nodes = self.context_nodes
         if self.voltage_path is not None:
-            path_content = self.voltage_path.follow_content(content)
-            telling_content = without_lone(path_content)
-            content = telling_content if telling_content.shape[2] else path_content
+            content = self.voltage_path.follow_content(content)
         work = WORK_A_SAMPLE * content.shape[2]
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
@@ -246,10 +244,8 @@ class MotorForm:
         """
         path = self.voltage_path
         open_a = np.empty(0)
-        if path is not None:  # where the winding is open no current flows
-            is_open = path.is_open(content)[0]
-            is_dead = is_open[1:] & is_open[:-1]  # at once, but for what it was driven by
-            open_a = self.white_box.state(content[TORQUE, 0, 1:][is_dead])
+        if path is not None:  # where the winding is open no current is foretold
+            open_a = self.white_box.state(content[TORQUE, 0][path.is_open(content)[0]])
         part = without_lone(beyond_start(content, self.driven(content), settle_s))
         if part.shape[2] == 0:
             return math.inf

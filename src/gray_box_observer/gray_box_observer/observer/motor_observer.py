@@ -160,6 +160,8 @@ class MotorObserver:
         if self.forecasting is None:
             return None
         held_v = np.full(self.motors, voltage_v)
+        if self._voltage_path is not None and self._voltage_path.opens(held_v):
+            return np.zeros(self.motors)  # no current flows
         before = None
         if ahead is not None:
             before = np.full(self.motors, ahead[0]), np.full(self.motors, ahead[1])

@@ -148,6 +148,10 @@ class VoltagePath:
         opens: NDArray[np.bool_] = self._opens(content[VOLTAGE]) & (content[INTERVAL] > 0.0)
         return opens
 
+    def opens(self, command_v: Array) -> bool:
+        """Tell whether commands, shape (motor,), open every winding."""
+        return self._coasts and bool(self._opens(command_v).all())
+
     def _opens(self, command_v: Array) -> NDArray[np.bool_]:
         """Tell of commands of one motor, any shape, whether they open its winding."""
         opens: NDArray[np.bool_] = np.abs(command_v) <= self._dead_zone_v[0]

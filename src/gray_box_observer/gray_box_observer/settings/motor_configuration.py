@@ -392,6 +392,11 @@ def _check_rotor(motor: MotorConfiguration) -> None:
         )
     if motor.mechanical_nodes:
         _check_mechanics(motor)
+    if motor.coasts and motor.estimates_delay:
+        raise ConfigurationError(
+            f'motor {name}: the delay of a motor whose driver coasts cannot be estimated; declare '
+            f'it with {name}.delay in s'
+        )
     if not motor.has_rotor:
         return
     if motor.estimates_delay:
