@@ -161,6 +161,7 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._place = 0  # of the newest sample
+        self._has_tried_coasting = False  # beside the form in force
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
 
     @property
@@ -245,7 +246,8 @@ class FormChoice:
         if self._trial is not None and new_count > 0:
             samples = nodes.replay.newest(min(new_count, nodes.replay.stored(0)))
             self._trial.keep(samples if path is None else path.commanded(samples))
-        if self._trial is None and is_open and place >= self._pace.due:
+        is_due = place >= self._pace.due or self._has_new_cause(fit)
+        if self._trial is None and is_open and is_due:
             self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
             return None
@@ -287,12 +289,18 @@ class FormChoice:
         else:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
+        self._has_tried_coasting = False
         self._change_count = 0
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
         self._pace.end(self._place)
         return form
+
+    def _has_new_cause(self, fit: FitAssessment) -> bool:
+        """Tell whether a driver seems to coast that was not tried beside this form."""
+        is_named = bool(fit.suspects) and fit.suspects[0].effect == COASTING
+        return is_named and not self._has_tried_coasting and self._place >= FEWEST
 
     def wake(self) -> None:
         """Take note that the fit was tested: what was idle goes on."""
@@ -447,6 +455,7 @@ class FormChoice:
             )
             return None
         self._pace.begin(self._place)
+        self._has_tried_coasting |= any(COASTING in kind.effects for kind in candidates)
         if self._is_doubted(fit):
             names = ', '.join(kind.in_words for kind in candidates)
             self._reasons.refusal = (
@@ -492,6 +501,7 @@ class FormChoice:
             'seen': self._place - place,
             'is_idle': self.is_idle,
             'change_count': self._change_count,
+            'has_tried_coasting': self._has_tried_coasting,
         }
         if self._trial is None:
             return plain, {}
@@ -541,6 +551,9 @@ class FormChoice:
         self._change_count = 0
         if 'change_count' in plain:  # not in files of early releases
             self._change_count = whole(plain, 'change_count')
+        self._has_tried_coasting = False
+        if 'has_tried_coasting' in plain:  # not in files of early releases
+            self._has_tried_coasting = flag(plain, 'has_tried_coasting')
         if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
             assert self._open is not None
             self._trial = FormTrial.restored(
