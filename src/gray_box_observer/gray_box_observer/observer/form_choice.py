@@ -161,7 +161,6 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._place = 0  # of the newest sample
-        self._has_tried_coasting = False  # beside the form in force
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
 
     @property
@@ -246,8 +245,7 @@ class FormChoice:
         if self._trial is not None and new_count > 0:
             samples = nodes.replay.newest(min(new_count, nodes.replay.stored(0)))
             self._trial.keep(samples if path is None else path.commanded(samples))
-        is_due = place >= self._pace.due or self._has_new_cause(fit)
-        if self._trial is None and is_open and is_due:
+        if self._trial is None and is_open and place >= self._pace.due:
             self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
             return None
@@ -289,18 +287,12 @@ class FormChoice:
         else:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
-        self._has_tried_coasting = False
         self._change_count = 0
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
         self._pace.end(self._place)
         return form
-
-    def _has_new_cause(self, fit: FitAssessment) -> bool:
-        """Tell whether a driver seems to coast that was not tried beside this form."""
-        is_named = bool(fit.suspects) and fit.suspects[0].effect == COASTING
-        return is_named and not self._has_tried_coasting and self._place >= FEWEST
 
     def wake(self) -> None:
         """Take note that the fit was tested: what was idle goes on."""
@@ -455,7 +447,6 @@ class FormChoice:
             )
             return None
         self._pace.begin(self._place)
-        self._has_tried_coasting |= any(COASTING in kind.effects for kind in candidates)
         if self._is_doubted(fit):
             names = ', '.join(kind.in_words for kind in candidates)
             self._reasons.refusal = (
@@ -501,7 +492,6 @@ class FormChoice:
             'seen': self._place - place,
             'is_idle': self.is_idle,
             'change_count': self._change_count,
-            'has_tried_coasting': self._has_tried_coasting,
         }
         if self._trial is None:
             return plain, {}
@@ -551,13 +541,12 @@ class FormChoice:
         self._change_count = 0
         if 'change_count' in plain:  # not in files of early releases
             self._change_count = whole(plain, 'change_count')
-        self._has_tried_coasting = False
-        if 'has_tried_coasting' in plain:  # not in files of early releases
-            self._has_tried_coasting = flag(plain, 'has_tried_coasting')
-        if 'trial' in plain and 'before_a' in group(plain, 'trial'):  # else of an early release
-            assert self._open is not None
+        trial = group(plain, 'trial') if 'trial' in plain else {}
+        assert self._open is not None
+        is_outdated = COASTING not in self._open.effects and _tries(trial, COASTING)
+        if 'before_a' in trial and not is_outdated:  # else of an early release, or stated since
             self._trial = FormTrial.restored(
-                group(plain, 'trial'),
+                trial,
                 arrays,
                 white_box,
                 self.kind,
@@ -565,3 +554,11 @@ class FormChoice:
                 self._open,
                 self._budget,
             )
+
+
+def _tries(trial: Mapping[str, Any], effect: str) -> bool:
+    """Tell whether a saved trial has an effect among its candidates."""
+    candidates = trial.get('candidates')
+    return isinstance(candidates, list) and any(
+        isinstance(one, list) and effect in one for one in candidates
+    )
