@@ -275,16 +275,10 @@ class Plant:
         """Whether motors are computed one at a time."""
         return len(self.motors) <= MOST_BY_NUMBERS
 
-    def _rows(
-        self,
-        state: FloatArray,
-        voltage_v: FloatArray,
-        load_nm: FloatArray,
-        open_ohm: FloatArray,
-    ) -> Iterator[tuple[PlantParameters, State, float, float, float]]:
-        """Yield parameters, state, voltage, load, and what opens the winding, of every motor."""
-        signals = (signal.tolist() for signal in (voltage_v, load_nm, open_ohm))
-        return zip(self.motors, map(tuple, state.tolist()), *signals, strict=True)
+    def _rows(self, state: FloatArray, *signals: FloatArray) -> Iterator[tuple[Any, ...]]:
+        """Yield parameters, state, and numbers of signals of one motor after the other."""
+        numbers = (signal.tolist() for signal in signals)
+        return zip(self.motors, map(tuple, state.tolist()), *numbers, strict=True)
 
     def _open_resistance(self, voltage_v: FloatArray) -> FloatArray:
         """Return by what the current dies in ohm, shape (motor,); 0 where the winding is driven."""
@@ -376,10 +370,10 @@ class Plant:
         inner_v = self._inner_voltage(voltage_v)
         load_nm = self._Tl if further_load_nm is None else self._Tl + further_load_nm
         if self._is_by_numbers:
-            rows = self._rows(state, inner_v, load_nm, self._open_resistance(voltage_v))
+            rows = self._rows(state, inner_v, load_nm)
             fastest: float = max(
                 self._rate(motor, row, volt, load, step_s, OF_NUMBERS)
-                for motor, row, volt, load, _ in rows
+                for motor, row, volt, load in rows
             )
         else:
             rates = self._rate(self._columns, state.T, inner_v, load_nm, step_s, OF_ARRAYS)

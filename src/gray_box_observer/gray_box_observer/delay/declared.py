@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from gray_box_observer.delay.watch import DelayWatch, LateInstantSource
-from gray_box_observer.samples.raw_history import SignalHistory
+from typing import Any
+
+from gray_box_observer.delay.watch import DelayWatch
 
 
 class DeclaredDelay(DelayWatch):
     """Keeps the delay that was declared; the fit test asks whether it holds."""
 
-    def update(
-        self,
-        history: SignalHistory,
-        stamp_ns: int,
-        samples: int = 1,
-        *,
-        is_awaited: bool = False,
-        late_instant: LateInstantSource | None = None,
-    ) -> float | None:
+    def update(self, *_arguments: Any, **_options: Any) -> float | None:
         """Do nothing, and leave the delay as it is."""
         return None

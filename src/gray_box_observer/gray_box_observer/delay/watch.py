@@ -215,8 +215,11 @@ class DelayWatch:
         if history.restarts != self._progress.restarts:  # what was found stays
             self._dropped_count += self._progress.count
             self._progress = _Progress(history.restarts)
-        if self.estimate.verdict is DelayVerdict.UNDECLARED and late_instant is not None:
-            self._forget_ruled_out(late_instant())
+        estimate = self.estimate
+        is_undeclared = estimate.verdict is DelayVerdict.UNDECLARED
+        if is_undeclared and self._is_ruled_out(estimate.value_s, late_instant):
+            self._progress.before = None
+            self.estimate = DelayEstimate(estimate.applied_s, estimate.is_estimated)
         progress = self._progress
         progress.count += samples
         progress.is_put_off = is_awaited and not progress.is_put_off
@@ -239,24 +242,19 @@ class DelayWatch:
         self, result: _Found, late_instant: LateInstantSource | None
     ) -> float | None:
         """Judge an outcome that current and speed together do not rule out."""
-        estimate = self.estimate
         self._interval_s = result.interval_s
-        instant = None if late_instant is None else late_instant()
-        away = (result.delay_s - estimate.applied_s) / result.interval_s
-        if instant is None or not instant.rules_out(away):
+        if not self._is_ruled_out(result.delay_s, late_instant):
             return self._judge(result)
         self._progress.before = None
-        if estimate.verdict is DelayVerdict.SUSPECTED:
-            self.estimate = replace(estimate, verdict=DelayVerdict.UNKNOWN)
+        if self.estimate.verdict is DelayVerdict.SUSPECTED:
+            self.estimate = replace(self.estimate, verdict=DelayVerdict.UNKNOWN)
         return None
 
-    def _forget_ruled_out(self, late_instant: LateInstant | None) -> None:
-        """Forget a delay that was found, where current and speed together rule it out."""
-        estimate = self.estimate
-        away = (estimate.value_s - estimate.applied_s) / self._interval_s
-        if late_instant is not None and late_instant.rules_out(away):
-            self._progress.before = None
-            self.estimate = DelayEstimate(estimate.applied_s, estimate.is_estimated)
+    def _is_ruled_out(self, delay_s: float, late_instant: LateInstantSource | None) -> bool:
+        """Tell whether current and speed together rule out a delay."""
+        instant = None if late_instant is None else late_instant()
+        away = (delay_s - self.estimate.applied_s) / self._interval_s
+        return instant is not None and instant.rules_out(away)
 
     @property
     def searching(self) -> bool:
@@ -455,7 +453,7 @@ class DelayWatch:
             return
         self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
         self._dropped_count = learnt_count
-        self._interval_s = math.nan if interval_s is None else interval_s
+        self._interval_s = interval_s or math.nan  # 0 is no interval
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
         self.estimate = DelayEstimate(
             applied_s, self.estimate.is_estimated, value_s, std_s, DelayVerdict[word]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.settings.motor_configuration import COASTING
 from gray_box_observer.white_box.interface import Array
 
 KNEE = 0.01
@@ -186,7 +187,6 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
 
 
 COLOURED_NOISE = 'coloured_noise'
-COASTING = 'coasting'
 CHANGE = 'change'
 LOAD = 'load'
 

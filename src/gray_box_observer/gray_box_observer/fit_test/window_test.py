@@ -27,7 +27,6 @@ from gray_box_observer.fit_test.data_doubts import (
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import (
     CHANGE,
-    COASTING,
     COLOURED_NOISE,
     EFFECTS,
     ESTIMATED_REMEDIES,
@@ -68,7 +67,11 @@ from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE, is_lone
-from gray_box_observer.settings.motor_configuration import BACK_EMF, MotorConfiguration
+from gray_box_observer.settings.motor_configuration import (
+    BACK_EMF,
+    COASTING,
+    MotorConfiguration,
+)
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
