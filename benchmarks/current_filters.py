@@ -8,19 +8,15 @@ they are. A claim is *false* as in ``rotor``.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
-from functools import partial
 
 from common.driver_runs import DriverCase, run_driver
-from common.figures import Figure, figure_table, last_line, table
+from common.figures import Figure
+from common.motor_study import MotorStudy, false_share, known_share, speed_in_words
 from common.motor_trial import MotorTrial, counts
-from common.progress import progress_bar
 
 MOTORS = 10
-QUICK_MOTORS = 1
+FIRST_SEED = 100
 DURATION_S = 20.0
 QUICK_S = 3.0
 RATES_HZ = (200.0, 500.0)
@@ -43,10 +39,11 @@ whether the noise passes the analogue filter, too."""
 
 def cases(duration_s: float) -> dict[tuple[str, str], list[DriverCase]]:
     """Return the cases by speed and filter, one for each rate."""
-    speeds = {'no speed': None, f'speed with {100.0 * SPEED_NOISE:g} % noise': SPEED_NOISE}
     return {
-        (speed, name): [DriverCase(*settings, rate_hz, noise, duration_s) for rate_hz in RATES_HZ]
-        for speed, noise in speeds.items()
+        (speed_in_words(noise), name): [
+            DriverCase(*settings, rate_hz, noise, duration_s) for rate_hz in RATES_HZ
+        ]
+        for noise in (None, SPEED_NOISE)
         for name, settings in FILTERS.items()
     }
 
@@ -61,45 +58,26 @@ def figures(trials: dict[tuple[str, str], list[MotorTrial]]) -> list[Figure]:
     made = []
     for speed in dict.fromkeys(speed for speed, _ in trials):
         own = [trial for key, some in trials.items() if key[0] == speed for trial in some]
-        claim_count = sum(trial.claims for trial in own)
-        false_share = 100.0 * sum(trial.false for trial in own) / max(claim_count, 1)
-        known_share = 100.0 * sum(trial.is_known for trial in own) / len(own)
         made += [
-            Figure(f'{speed}: false claims, in %', false_share, 2.0),
-            Figure('  R identified and right at the end, in % of motors', known_share, None),
+            Figure(f'{speed}: false claims, in %', false_share(own), 2.0),
+            Figure('  R identified and right at the end, in % of motors', known_share(own), None),
         ]
     return made
 
 
 def main() -> int:
     """Print the table, the figures, and one line of JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    study = MotorStudy(
+        'current_filters',
+        __doc__ or '',
+        'motors',
+        MOTORS,
+        FIRST_SEED,
+        run_driver,
+        lambda key, trials: row(*key, trials),
+        figures,
     )
-    parser.add_argument('--quick', action='store_true', help='one motor, for a few seconds')
-    parser.add_argument('--motors', type=int, help=f'of each case (default {MOTORS})')
-    parser.add_argument('--first-seed', type=int, default=100)
-    parser.add_argument('--processes', type=int, default=2)
-    options = parser.parse_args()
-    count = options.motors or (QUICK_MOTORS if options.quick else MOTORS)
-    seeds = range(options.first_seed, options.first_seed + count)
-    chosen_cases = cases(QUICK_S if options.quick else DURATION_S)
-    trials: dict[tuple[str, str], list[MotorTrial]] = {}
-    with ProcessPoolExecutor(options.processes) as pool:
-        jobs = {
-            key: [pool.map(partial(run_driver, case), seeds) for case in some]
-            for key, some in chosen_cases.items()
-        }
-        for key, some in progress_bar(jobs.items(), total=len(jobs), unit='case'):
-            trials[key] = [trial for job in some for trial in job]
-    header = ['motors', 'all', 'R known', 'R within 2 %', 'misfit', 'claims', 'false']
-    print(table(header, [row(*key, own) for key, own in trials.items()]), end='\n\n')
-    judged = figures(trials)
-    if options.quick:
-        judged = [replace(figure, counts=False) for figure in judged]
-    print(figure_table(judged))
-    print(last_line('current_filters', count, judged))
-    return 0
+    return study.main(lambda is_quick: cases(QUICK_S if is_quick else DURATION_S))
 
 
 if __name__ == '__main__':

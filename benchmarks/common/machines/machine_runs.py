@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.claims import noisy_readings
+from common.joints.joint_control import SPEED_GAIN, SPEED_GAIN_RATE
 from common.machines.drawn_machines import Machine, draw_machine
 from common.machines.machine_plant import MachinePlant
 from common.motion import FloatArray
 from common.motor_trial import MotorTrial, observed_trial
+from common.rotor.records import LONGEST_S, SHORTEST_S
 from common.trust.motors import SUPPLY_V
 
 STEPS = 'steps'
@@ -20,19 +22,11 @@ SPEED_LOOP = 'speed loop'
 CURRENT_NOISE = 0.01
 """Of a reading, as a share of the current's spread."""
 
-SHORTEST_S = 0.05
-LONGEST_S = 0.5
-"""A level of voltage lasts so long; a goal of the speed twice as long."""
-
 REST_SHARE = 0.3
 """Levels that are 0 where the driver coasts."""
 
 TOP_SPEED = 0.6
 """Largest goal of the speed, over the no-load speed."""
-
-GAIN = 2.0
-GAIN_RATE = 20.0
-"""Of the speed controller: volts for an error of Kb, and the same a second."""
 
 STANDS = 0.05
 """Speed, over the no-load speed, from which a controller that is to stand still commands 0."""
@@ -106,7 +100,7 @@ class _Driver:
 
     def voltage(self, time_s: float, speed_rad_s: float) -> float:
         """Return the command of the next interval."""
-        if time_s >= self._next_s:
+        if time_s >= self._next_s:  # a goal of the speed lasts twice as long as a voltage
             hold_s = self._rng.uniform(SHORTEST_S, LONGEST_S) * (2.0 if self._is_loop else 1.0)
             self._next_s = time_s + hold_s
             self._level = self._rng.uniform(-1.0, 1.0)
@@ -120,11 +114,11 @@ class _Driver:
         way_rad_s = self._level * top_rad_s - self._goal_rad_s
         self._goal_rad_s += max(-most, min(most, way_rad_s))
         error_v = self._machine.motor.back_emf_constant * (self._goal_rad_s - speed_rad_s)
-        self._integral_v = _limited(self._integral_v + GAIN_RATE * error_v * self._interval_s)
+        self._integral_v = _limited(self._integral_v + SPEED_GAIN_RATE * error_v * self._interval_s)
         slow_rad_s = STANDS * self._machine.no_load_speed_rad_s
         if self._machine.coasts and self._goal_rad_s == 0.0 and abs(speed_rad_s) < slow_rad_s:
             return 0.0
-        return _limited(GAIN * error_v + self._integral_v)
+        return _limited(SPEED_GAIN * error_v + self._integral_v)
 
 
 def _limited(voltage_v: float) -> float:
