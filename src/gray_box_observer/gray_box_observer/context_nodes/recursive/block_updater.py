@@ -224,11 +224,15 @@ class BlockUpdater:
 
     @staticmethod
     def _open(belief: Belief, prior: Prior, stretch: SampleWindow) -> Belief:
-        """Belief at the beginning of a fitted window, had the window not been seen."""
-        loose = random_walk.START_RELATIVE_STD**2 * np.eye(belief.p.shape[1])
+        """Belief at the beginning of a fitted window, had the window not been seen.
+
+        Coordinates are independent there, and none is less known than the walk starts from.
+        """
+        loose = random_walk.START_RELATIVE_STD**2
+        variance = np.minimum(prior.covariance.diagonal(0, 1, 2), loose)
         covariance = np.zeros_like(belief.covariance)
         covariance[:, COORDINATES, COORDINATES] = (
-            np.minimum(prior.covariance, loose) / belief.noise[:, None, None] ** 2
+            variance[:, None] * np.eye(belief.p.shape[1]) / belief.noise[:, None, None] ** 2
         )
         return replace(belief, covariance=covariance).restarted_at(stretch.state[:, 0])
 
