@@ -68,17 +68,18 @@ def test_a_late_voltage_moves_r_as_the_shift_says_and_is_told(late: float) -> No
 
 
 @pytest.mark.parametrize(
-    ('mean', 'std', 'delay', 'is_ruled_out'),
+    ('mean', 'std', 'delay', 'is_supported'),
     [
-        (0.0, 0.1, -1.2, True),
-        (0.0, 0.1, 9.0, True),
-        (0.0, 0.1, 0.2, False),  # within three deviations
-        (0.5, 0.1, 2.0, False),  # no punctual voltage either
-        (0.0, math.inf, 5.0, False),  # nothing is told
+        (0.5, 0.1, 0.4, True),
+        (1.2, 0.1, 3.0, True),
+        (-0.5, 0.1, -2.0, True),
+        (0.5, 0.2, 0.5, False),
+        (0.5, 0.1, -0.5, False),
+        (0.0, math.inf, 1.0, False),
     ],
 )
-def test_a_delay_is_ruled_out_by_readings_of_a_punctual_voltage(
-    mean: float, std: float, delay: float, is_ruled_out: bool
+def test_a_delay_is_supported_where_the_readings_show_it(
+    mean: float, std: float, delay: float, is_supported: bool
 ) -> None:
-    assert LateInstant(np.zeros(2), mean, std).rules_out(delay) == is_ruled_out
-    assert not LateInstant(np.zeros(2), mean, std).rules_out(math.nan)
+    assert LateInstant(np.zeros(2), mean, std).supports(delay) == is_supported
+    assert not LateInstant(np.zeros(2), mean, std).supports(math.nan)

@@ -199,7 +199,8 @@ class DelayWatch:
         """Go on by one piece of work, where there is any.
 
         The search takes a measured speed for exact. Its noise makes the inductance large, and a
-        delay that goes with it. What current and speed together rule out was not found.
+        delay that goes with it. Where a fit of current and speed explains both, what that does not
+        show was not found.
 
         Args:
             history: raw measurements that led to the samples so far.
@@ -217,7 +218,7 @@ class DelayWatch:
             self._progress = _Progress(history.restarts)
         estimate = self.estimate
         is_undeclared = estimate.verdict is DelayVerdict.UNDECLARED
-        if is_undeclared and self._is_ruled_out(estimate.value_s, late_instant):
+        if is_undeclared and not self._is_supported(estimate.value_s, late_instant):
             self._progress.before = None
             self.estimate = DelayEstimate(estimate.applied_s, estimate.is_estimated)
         progress = self._progress
@@ -241,20 +242,21 @@ class DelayWatch:
     def _judge_possible(
         self, result: _Found, late_instant: LateInstantSource | None
     ) -> float | None:
-        """Judge an outcome that current and speed together do not rule out."""
+        """Judge an outcome, as far as current and speed together show it."""
         self._interval_s = result.interval_s
-        if not self._is_ruled_out(result.delay_s, late_instant):
+        is_news = math.isfinite(result.std_s) and not result.agrees_with(self.estimate.applied_s)
+        if not is_news or self._is_supported(result.delay_s, late_instant):
             return self._judge(result)
         self._progress.before = None
         if self.estimate.verdict is DelayVerdict.SUSPECTED:
             self.estimate = replace(self.estimate, verdict=DelayVerdict.UNKNOWN)
         return None
 
-    def _is_ruled_out(self, delay_s: float, late_instant: LateInstantSource | None) -> bool:
-        """Tell whether current and speed together rule out a delay."""
+    def _is_supported(self, delay_s: float, late_instant: LateInstantSource | None) -> bool:
+        """Tell whether current and speed together show a delay, or are not asked."""
         instant = None if late_instant is None else late_instant()
         away = (delay_s - self.estimate.applied_s) / self._interval_s
-        return instant is not None and instant.rules_out(away)
+        return instant is None or instant.supports(away)
 
     @property
     def searching(self) -> bool:

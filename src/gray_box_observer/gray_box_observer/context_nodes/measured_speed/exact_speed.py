@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
+from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.samples.replay_buffer import without_lone
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array

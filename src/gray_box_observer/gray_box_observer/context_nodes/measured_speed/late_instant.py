@@ -21,7 +21,7 @@ DISTINCT = 1e-6
 """Share of the answer that unknowns must not explain: of less nothing can be told."""
 
 STDS = 3.0
-"""Standard deviations by which readings may differ from those of a delay that is not ruled out."""
+"""Standard deviations from which readings are not those of a punctual voltage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +39,13 @@ class LateInstant:
     mean: float
     std: float
 
-    def rules_out(self, delay: float) -> bool:
-        """Tell whether the readings are those of a punctual voltage, and of none so late.
+    def supports(self, delay: float) -> bool:
+        """Tell whether the readings show a voltage that is late, or early, as a delay has it.
 
         Args:
-            delay: in sample intervals; a voltage that is later than one is at least as late.
+            delay: in sample intervals; one that is longer than one shows as one.
         """
-        reach = STDS * self.std
-        return abs(self.mean) < reach < abs(self.mean - min(max(delay, -1.0), 1.0))
+        return self.mean * delay > 0.0 and abs(self.mean) > STDS * self.std
 
     @classmethod
     def from_fit(cls, fit: OutputFit) -> LateInstant:

@@ -14,9 +14,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
-from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.recursive.normal_equations import (
-    MAD_TO_STD,
     OUTLIER,
     difference_noise,
     pooled_difference_noise,
@@ -39,7 +38,7 @@ from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -66,6 +65,12 @@ COLOURED = 4.0
 SPEED_COLOURED = 25.0
 """Whiteness of the speed's residual from which the rotor is not explained: rounded readings of few
 counts, a filter of the sensor or a gear that gives."""
+
+CLOSE = 1.2
+"""The same up to which no other start is searched from."""
+
+MOST_PLAIN_WORK = 131072
+"""Work of a search from linear equations without a load, which mostly is enough, at most."""
 
 SEEN = 1.2
 """Noise of a speed, over the smallest that is believed, from which there is some."""
@@ -113,6 +118,11 @@ class OutputNoise:
     def unit_a_s(self) -> float:
         """Amperes that count for as much as one rad/s."""
         return self.current_a / self.speed_rad_s
+
+    @property
+    def shows_noise(self) -> bool:
+        """Whether the speed has more noise than is always believed."""
+        return self.speed_rad_s > SEEN * self.least_rad_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,10 +300,17 @@ def fit_outputs(
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
     linear = speed_start(white_box, window, starts[0])
-    every_start = [*starts] if linear is None else [*starts, linear]
-    steady = yield from _settled(
-        white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead
-    )
+    plain = speed_start(white_box, window, starts[0], load_varies=False)
+    steady = None
+    if plain is not None and floor.shows_noise:  # one that is late alone leads such a search away
+        search = _settled(white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead)
+        steady = yield from bounded(search, MOST_PLAIN_WORK)
+    if steady is None or not steady.is_within(CLOSE):
+        every_start = [*starts] if linear is None else [*starts, linear]
+        other = yield from _settled(
+            white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead
+        )
+        steady = _likelier(steady, other)
     if linear is None or steady is None or steady.explains:
         return steady
     if stops_at_lead and steady.speed_leads:
@@ -302,6 +319,13 @@ def fit_outputs(
         white_box, window, prior, linear, floor, first_walk(white_box, window, linear)
     )
     return walk_fit if walk_fit is not None and walk_fit.explains else steady
+
+
+def _likelier(one: OutputFit | None, other: OutputFit | None) -> OutputFit | None:
+    """Return the likelier of two fits of the same samples; None where there is none."""
+    if one is None or other is None:
+        return one or other
+    return min(one, other, key=lambda fit: fit.cost)
 
 
 @dataclass(frozen=True, eq=False)
