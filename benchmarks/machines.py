@@ -2,8 +2,9 @@
 
 Gear motors are drawn, each with one thing that no form of the observer knows or that data have to
 add: ripple, cogging, a gear that gives or has play, a payload, a restless load, a driver that
-coasts, or one whose current flows one way alone. The observer is told Kt and Kb. A claim is *false*
-as in ``rotor``; R is judged against its mean over a turn.
+coasts, or one whose current flows one way alone. Motors with nothing odd are also driven as most
+robots are: their voltage is held for seconds while samples come fast. The observer is told Kt and
+Kb. A claim is *false* as in ``rotor``; R is judged against its mean over a turn.
 """
 
 from __future__ import annotations
@@ -12,7 +13,14 @@ from collections.abc import Sequence
 
 from common.figures import Figure
 from common.machines.drawn_machines import EFFECTS
-from common.machines.machine_runs import SPEED_LOOP, STEPS, MachineCase, run_machine
+from common.machines.machine_runs import (
+    CRUISE,
+    LONG_STEPS,
+    SPEED_LOOP,
+    STEPS,
+    MachineCase,
+    run_machine,
+)
 from common.motor_study import MotorStudy, false_share, known_share, speed_in_words
 from common.motor_trial import MotorTrial, counts
 
@@ -23,13 +31,28 @@ SAMPLES = {1000.0: 10_000, 250.0: 5_000}
 QUICK_SAMPLES = 600
 SPEED_NOISES = (None, 0.01)
 
+FOUND = (95.0, 100.0)
+"""Goal for R of healthy motors, in % of them."""
+
+HELD = 'nothing, voltage held for seconds'
+HELD_RATE_HZ = 1000.0
+HELD_SAMPLES = 30_000
+
 Key = tuple[str, float | None]
-"""Effect, and noise of the measured speed."""
+"""Effect, or :data:`HELD`, and noise of the measured speed."""
 
 
 def cases(samples: int | None = None) -> dict[Key, list[MachineCase]]:
     """Return the cases, of so many samples each; None: of as many as a rate takes."""
-    return {
+    held_s = (samples or HELD_SAMPLES) / HELD_RATE_HZ
+    held = {
+        (HELD, noise): [
+            MachineCase('nothing', drive, HELD_RATE_HZ, noise, held_s)
+            for drive in (LONG_STEPS, CRUISE)
+        ]
+        for noise in SPEED_NOISES
+    }
+    odd = {
         (effect, noise): [
             MachineCase(effect, drive, rate_hz, noise, (samples or SAMPLES[rate_hz]) / rate_hz)
             for drive in (STEPS, SPEED_LOOP)
@@ -38,6 +61,7 @@ def cases(samples: int | None = None) -> dict[Key, list[MachineCase]]:
         for effect in EFFECTS
         for noise in SPEED_NOISES
     }
+    return odd | held
 
 
 def row(key: Key, trials: Sequence[MotorTrial]) -> list[str]:
@@ -53,7 +77,7 @@ def figures(trials: dict[Key, list[MotorTrial]]) -> list[Figure]:
         own = {effect: some for (effect, other), some in trials.items() if other == noise}
         every = [one for some in own.values() for one in some]
         made.append(Figure(f'{speed_in_words(noise)}: false claims, in %', false_share(every), 2.0))
-        for effect, goal in (('nothing', (95.0, 100.0)), ('coasting driver', None)):
+        for effect, goal in (('nothing', FOUND), (HELD, FOUND), ('coasting driver', None)):
             name = f'  {effect}: R identified and right, in % of motors'
             made.append(Figure(name, known_share(own.get(effect, [])), goal))
     return made

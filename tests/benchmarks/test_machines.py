@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from common.machines.drawn_machines import EFFECTS, Machine, draw_machine
 from common.machines.machine_plant import MachinePlant
-from common.machines.machine_runs import STEPS, MachineCase, record, run_machine
+from common.machines.machine_runs import CRUISE, DRIVES, STEPS, MachineCase, record, run_machine
 from common.motor_trial import MotorTrial
 from common.trust.plant import Plant
 
@@ -61,7 +61,7 @@ def test_no_current_flows_where_a_driver_has_opened_or_against_its_command() -> 
     assert (one_way_a * np.repeat(LEVELS_V, 100) >= 0.0).all()
 
 
-@pytest.mark.parametrize('drive', [STEPS, machines.SPEED_LOOP])
+@pytest.mark.parametrize('drive', DRIVES)
 def test_the_same_seed_gives_the_same_record(drive: str) -> None:
     case = MachineCase('restless load', drive, 250.0, None, 2.0)
     one, other = (record(_machine(case.effect), case, np.random.default_rng(1)) for _ in range(2))
@@ -76,11 +76,20 @@ def test_rows_and_figures_count_motors_and_claims() -> None:
         'cogging, no speed', '2', '1', '1', '1', '12', '3',
     ]  # fmt: skip
     trials = {('nothing', None): [good, good], ('cogging', None): [bad]}
-    false_share, known_share, coasting_share = machines.figures(trials)
+    false_share, known_share, held_share, coasting_share = machines.figures(trials)
     assert false_share.value == pytest.approx(100.0 * 3 / 21)
     assert not false_share.met
     assert known_share.value == 100.0
-    assert coasting_share.value == 0.0
+    assert held_share.value == coasting_share.value == 0.0
+
+
+def test_a_cruise_ramps_between_stops_and_travel_and_holds_them() -> None:
+    case = MachineCase('nothing', CRUISE, 1000.0, None, 20.0)
+    voltage_v = record(_machine(case.effect), case, np.random.default_rng(1))[0]
+    rate_v_s = np.abs(np.diff(voltage_v)) * case.rate_hz
+    assert rate_v_s.max() == pytest.approx(24.0)
+    assert np.mean(rate_v_s == 0.0) > 0.8
+    assert (voltage_v == 0.0).any()
 
 
 @pytest.mark.slow

@@ -18,6 +18,20 @@ from common.trust.motors import SUPPLY_V
 
 STEPS = 'steps'
 SPEED_LOOP = 'speed loop'
+LONG_STEPS = 'long steps'
+CRUISE = 'cruise'
+DRIVES = (STEPS, SPEED_LOOP, LONG_STEPS, CRUISE)
+"""What the driver does: steps of the voltage, goals of the speed along trapezoids, steps held for
+seconds, and ramps of the voltage between a stop and travel, held for seconds."""
+
+LONG_S = (2.0, 5.0)
+"""Shortest and longest time for which a long step or a stretch of travel is held."""
+
+RAMP_V_S = 2.0 * SUPPLY_V
+"""Rate at which the voltage of a cruise moves."""
+
+STOP_SHARE = 0.5
+"""Levels of a cruise that are 0."""
 
 CURRENT_NOISE = 0.01
 """Of a reading, as a share of the current's spread."""
@@ -38,7 +52,7 @@ class MachineCase:
 
     Attributes:
         effect: one of :data:`EFFECTS`.
-        drive: :data:`STEPS` of the voltage, or a :data:`SPEED_LOOP` along trapezoids.
+        drive: one of :data:`DRIVES`.
         rate_hz: of controller and samples.
         speed_noise: of the measured speed, as a share of its spread; None: it is not measured.
         duration_s: of the record.
@@ -90,23 +104,37 @@ class _Driver:
 
     def __init__(self, machine: Machine, case: MachineCase, rng: np.random.Generator) -> None:
         self._machine = machine
-        self._is_loop = case.drive == SPEED_LOOP
+        self._drive = case.drive
         self._rng = rng
         self._interval_s = 1.0 / case.rate_hz
-        self._next_s = self._level = 0.0
+        self._next_s = self._level = self._ramp_v = 0.0
         self._goal_rad_s = self._integral_v = 0.0
         top_rad_s = machine.no_load_speed_rad_s * rng.uniform(0.3, 0.7)
         self._acceleration = top_rad_s / rng.uniform(0.05, 0.4)
 
     def voltage(self, time_s: float, speed_rad_s: float) -> float:
         """Return the command of the next interval."""
-        if time_s >= self._next_s:  # a goal of the speed lasts twice as long as a voltage
-            hold_s = self._rng.uniform(SHORTEST_S, LONGEST_S) * (2.0 if self._is_loop else 1.0)
-            self._next_s = time_s + hold_s
+        if time_s >= self._next_s:
+            self._next_s = time_s + self._hold_s()
             self._level = self._rng.uniform(-1.0, 1.0)
-            if self._machine.coasts and self._rng.random() < REST_SHARE:
+            stops = self._machine.coasts and self._rng.random() < REST_SHARE
+            if stops or (self._drive == CRUISE and self._rng.random() < STOP_SHARE):
                 self._level = 0.0
-        return self._following(speed_rad_s) if self._is_loop else SUPPLY_V * self._level
+        if self._drive == SPEED_LOOP:
+            return self._following(speed_rad_s)
+        level_v = SUPPLY_V * self._level
+        if self._drive == CRUISE:
+            most_v = RAMP_V_S * self._interval_s
+            self._ramp_v += max(-most_v, min(most_v, level_v - self._ramp_v))
+            return self._ramp_v
+        return level_v
+
+    def _hold_s(self) -> float:
+        """Draw how long a level lasts: a goal of the speed twice as long as a voltage."""
+        if self._drive in (LONG_STEPS, CRUISE):
+            return float(self._rng.uniform(*LONG_S))
+        factor = 2.0 if self._drive == SPEED_LOOP else 1.0
+        return float(self._rng.uniform(SHORTEST_S, LONGEST_S)) * factor
 
     def _following(self, speed_rad_s: float) -> float:
         top_rad_s = TOP_SPEED * self._machine.no_load_speed_rad_s
