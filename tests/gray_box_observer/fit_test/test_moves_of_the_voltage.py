@@ -22,8 +22,8 @@ from gray_box_observer.context_nodes.recursive.trajectory import follow_moves, v
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.settings.configuration import Configuration
 
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, recurrence
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.stamp_errors import STAMP_STD
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import interval_motion
 from gray_box_observer.context_nodes.recursive.normal_equations import (
-    MAD_TO_STD,
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
@@ -36,7 +35,7 @@ from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox

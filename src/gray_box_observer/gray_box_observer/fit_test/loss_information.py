@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, difference_noise
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import KNEE, interval_means
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.policy import RATIO_DOUBT
 from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, OFFSET
 from gray_box_observer.safe_io.saved_state import ArrayRule, numbers, whole
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box import MotorWhiteBox, forms
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 from gray_box_observer.white_box.interface import Array

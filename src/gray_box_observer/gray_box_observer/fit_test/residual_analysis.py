@@ -15,7 +15,6 @@ import numpy as np
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import (
-    MAD_TO_STD,
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
@@ -56,7 +55,7 @@ from gray_box_observer.fit_test.stamp_errors import (
 )
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox

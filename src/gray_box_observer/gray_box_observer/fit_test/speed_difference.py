@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
@@ -23,7 +22,7 @@ from gray_box_observer.fit_test.projection import (
     long_run_covariance,
 )
 from gray_box_observer.samples.noise_floor import quantisation_step
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 

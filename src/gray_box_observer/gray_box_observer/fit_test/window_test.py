@@ -64,9 +64,9 @@ from gray_box_observer.fit_test.suspects import (
     with_delay,
 )
 from gray_box_observer.fit_test.twin_effects import OFFSET
-from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE, is_lone
+from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.settings.motor_configuration import (
     BACK_EMF,
     COASTING,

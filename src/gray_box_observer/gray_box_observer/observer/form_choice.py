@@ -42,9 +42,18 @@ from gray_box_observer.observer.motor_form import (
     residual_a,
 )
 from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.trial_memory import TrialMemory
 from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import MOST, entry, flag, group, whole
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST_SIGNAL,
+    MOST,
+    entry,
+    flag,
+    group,
+    number,
+    whole,
+)
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
@@ -160,6 +169,8 @@ class FormChoice:
         self._pace = TrialPace()
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
+        self._memory: TrialMemory | None = None
+        self._largest_v = 0.0  # of the voltage since trials may come
         self._place = 0  # of the newest sample
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
 
@@ -226,6 +237,7 @@ class FormChoice:
         """
         if self._open is None:
             return None
+        self._largest_v = max(self._largest_v, abs(float(sample.voltage_v[0])))
         place = int(nodes.replay.received[0])
         new_count = max(0, place - self._place)
         self._place = place
@@ -242,9 +254,7 @@ class FormChoice:
             self._reasons.refusal = ''
         elif not self._reasons.refusal:
             self._reasons.refusal = self._why_not_yet(self._candidates(fit))
-        if self._trial is not None and new_count > 0:
-            samples = nodes.replay.newest(min(new_count, nodes.replay.stored(0)))
-            self._trial.keep(samples if path is None else path.commanded(samples))
+        self._keep(nodes, path, new_count, is_doubted=is_doubted)
         if self._trial is None and is_open and place >= self._pace.due:
             self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
@@ -254,6 +264,20 @@ class FormChoice:
             return None
         assert outcome is not None
         return self._end(outcome, sample.stamp_ns, place, fit)
+
+    def _keep(
+        self, nodes: ContextUpdate, path: VoltagePath | None, new_count: int, *, is_doubted: bool
+    ) -> None:
+        """Remember so many samples that have come, where a trial goes on or is to come."""
+        if not is_doubted or self.kind.source != THESIS:
+            self._memory = None
+        elif self._memory is None:
+            self._memory = TrialMemory(NEWEST)
+            self._memory.keep(_newest(nodes, path, NEWEST))
+        elif new_count > 0:
+            self._memory.keep(_newest(nodes, path, new_count))
+        if self._trial is not None and new_count > 0:
+            self._trial.keep(_newest(nodes, path, new_count))
 
     def finish(self, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int) -> MotorForm | None:
         """Do what is left of a trial, for no samples will come; see :meth:`step`."""
@@ -287,6 +311,7 @@ class FormChoice:
         else:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
+        self._memory = None
         self._change_count = 0
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
@@ -428,18 +453,19 @@ class FormChoice:
     ) -> FormTrial | None:
         """Begin a trial on what is remembered, unless the voltage has hardly moved."""
         assert self._open is not None
-        replay = nodes.replay
-        count = min(replay.stored(0), replay.capacity, NEWEST)
-        own_content = replay.newest(count).copy()
         is_measured = self.kind.source == MEASURED
+        content = _newest(nodes, path, NEWEST)
+        own_content = _newest(nodes, None, NEWEST)
         has_no_speed = is_measured and stands_still(white_box, nodes.theta, own_content)
         candidates = self._candidates(fit, has_no_speed=has_no_speed)
         if not candidates:
             self._pace.postpone(self._place)
             self._reasons.refusal = ''
             return None
-        content = own_content if path is None else path.commanded(own_content)
-        if not can_tell(white_box, content):
+        if self._memory is not None:
+            content = self._memory.content()
+            own_content = content if path is None else path.driven(content)
+        if not can_tell(white_box, content, self._largest_v):
             self._pace.postpone(self._place)
             self._reasons.refusal = (
                 f'{self.kind.in_words} does not explain the data, but the voltage has hardly '
@@ -492,10 +518,14 @@ class FormChoice:
             'seen': self._place - place,
             'is_idle': self.is_idle,
             'change_count': self._change_count,
+            'largest_v': self._largest_v,
         }
-        if self._trial is None:
-            return plain, {}
-        plain['trial'], arrays = self._trial.state(self._budget.pieces)
+        arrays: dict[str, Array] = {}
+        if self._memory is not None:
+            plain['memory'], arrays = self._memory.state()
+        if self._trial is not None:
+            plain['trial'], trial_arrays = self._trial.state(self._budget.pieces)
+            arrays |= trial_arrays
         return plain, arrays
 
     def restore(
@@ -541,6 +571,12 @@ class FormChoice:
         self._change_count = 0
         if 'change_count' in plain:  # not in files of early releases
             self._change_count = whole(plain, 'change_count')
+        self._largest_v = 0.0
+        if 'largest_v' in plain:  # not in files of early releases
+            self._largest_v = number(plain, 'largest_v', 0.0, LARGEST_SIGNAL)
+        self._memory = None
+        if 'memory' in plain:
+            self._memory = TrialMemory.restored(group(plain, 'memory'), arrays, NEWEST)
         trial = group(plain, 'trial') if 'trial' in plain else {}
         assert self._open is not None
         is_outdated = COASTING not in self._open.effects and _tries(trial, COASTING)
@@ -554,6 +590,19 @@ class FormChoice:
                 self._open,
                 self._budget,
             )
+
+
+def _newest(nodes: ContextUpdate, path: VoltagePath | None, most: int) -> Array:
+    """Return the newest samples of a rule, shape (signal, 1, n), with commands where there are any.
+
+    Args:
+        nodes: the rule.
+        path: makes of commands its voltages; None: they are the same.
+        most: how many samples, where there are as many.
+    """
+    replay = nodes.replay
+    samples = replay.newest(min(replay.stored(0), replay.capacity, most)).copy()
+    return samples if path is None else path.commanded(samples)
 
 
 def _tries(trial: Mapping[str, Any], effect: str) -> bool:

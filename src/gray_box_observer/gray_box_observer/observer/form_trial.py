@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from gray_box_observer.context_nodes.pieces import (
 )
 from gray_box_observer.context_nodes.rotor.load_walk import knot_count
 from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_learner import FEWEST_MOVES
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
@@ -58,9 +59,6 @@ FEW_CANDIDATES = 4
 """Forms that one trial compares, at most, beside one with a load that varies."""
 
 MOST_CANDIDATES = FEW_CANDIDATES + 1
-
-FEWEST_MOVES = 3
-"""Moves of the voltage from which a rotor, or an effect, can be told."""
 
 LARGEST_STD = 0.25
 """Relative standard deviation of inductance, resistance and inertia up to which they are told."""
@@ -474,9 +472,16 @@ def _content(backlog: Sequence[Array]) -> Array:
     return np.stack(backlog, axis=1)[:, None]
 
 
-def can_tell(white_box: MotorWhiteBox, content: Array) -> bool:
-    """Tell whether the voltage has moved often enough to tell a rotor."""
-    return Window.from_samples(white_box, content[:, 0]).moves >= FEWEST_MOVES
+def can_tell(white_box: MotorWhiteBox, content: Array, largest_v: float = 0.0) -> bool:
+    """Tell whether the voltage has moved often enough to tell a rotor, or an effect.
+
+    Args:
+        white_box: of the motor.
+        content: shape (signal, 1, n): samples.
+        largest_v: voltage that has driven the motor before.
+    """
+    window = Window.from_samples(white_box, content[:, 0])
+    return replace(window, voltage_elsewhere_v=largest_v).moves >= FEWEST_MOVES
 
 
 def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:

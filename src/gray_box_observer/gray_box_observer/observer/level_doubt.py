@@ -18,7 +18,6 @@ import numpy as np
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
 from gray_box_observer.fit_test.loss_information import LossInformation
 from gray_box_observer.fit_test.policy import UNIFORM_STD
-from gray_box_observer.fit_test.voltage_level import is_held
 from gray_box_observer.observer.scale_doubt import with_doubt
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -33,6 +32,7 @@ from gray_box_observer.safe_io.saved_state import (
 )
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
+from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from gray_box_observer.white_box.interface import Array
 
+MAD_TO_STD = 1.4826
+"""Standard deviation of Gaussian noise over its median absolute deviation."""
+
 Number = TypeVar('Number', bound=np.generic)
 
 

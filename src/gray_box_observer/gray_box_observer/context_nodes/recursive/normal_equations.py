@@ -16,10 +16,9 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     STATES,
     Trajectory,
 )
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array
 
-MAD_TO_STD = 1.4826
 OUTLIER = 4.5
 """Standard deviations beyond which a sample is an outlier: Gauss gives one in 150,000."""
 

@@ -41,6 +41,7 @@ from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
     AGAIN,
+    FEW,
     LONGEST_WAIT,
     WINDOW,
     WindowSchedule,
@@ -50,13 +51,11 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, flag, group, whole
 from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.samples.sample_merger import SampleMerger
+from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-HELD = 0.01
-"""Range of the voltage, as a share of its largest value, in which it is held: a rotor that has
-settled tells its level alone, which says nothing of any parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +83,9 @@ class RotorUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
             nothing is stated. None: of none of them.
+
+    Attributes:
+        kept_count: samples that the newest one has brought to what is remembered: none to two.
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -109,6 +111,8 @@ class RotorUpdate:
         )
         capacity = max(self._rules.replay_capacity, WINDOW)
         self.replay = ReplayBuffer(1, capacity, speed_measured=self._learner.speed_measured)
+        self.kept_count = 0
+        self._merger = None if self._learner.speed_measured else SampleMerger()
         self._schedule = WindowSchedule()
         self._stamp_ns = 0
         self._is_frozen = False
@@ -202,11 +206,17 @@ class RotorUpdate:
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
         self._stamp_ns = sample.stamp_ns
+        self.kept_count = 0
         if self._is_frozen:
             return
-        self.replay.append(sample.beginning() if self._resumes else sample)
+        if self._resumes:
+            sample = sample.beginning()
         self._resumes = False
-        self._schedule.place += 1
+        samples = (sample,) if self._merger is None else self._merger.step(sample)
+        for one in samples:
+            self.replay.append(one)
+        self.kept_count = len(samples)
+        self._schedule.place += self.kept_count
         self._budget.grant(float(sample.interval_s[0]))
 
     @property
@@ -324,8 +334,11 @@ class RotorUpdate:
         schedule = self._schedule
         learner = self._learner
         voltage = samples[VOLTAGE, 1:]
-        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
+        if is_held(voltage):  # a rotor that has settled tells its level alone
             schedule.skip(place, is_settled=learner.is_settled)
+            return False
+        if learner.memory is not None and count < FEW:  # chance would look like another motor
+            schedule.due = place + FEW - count
             return False
         window = learner.window(samples)
         has_fit = yield from learner.learn(window, is_full=count >= WINDOW)
@@ -351,6 +364,8 @@ class RotorUpdate:
             'remembers': self._learner.memory is not None,
             'credit': self._budget.credit,
         }
+        if self._merger is not None:
+            plain['merger'] = self._merger.state()
         arrays = self._learner.arrays() | {'replay': content}
         if self._fit_task is not None:
             plain['fitting'] = {
@@ -375,6 +390,8 @@ class RotorUpdate:
         self._resumes = plain['resumes']
         self._learner.restore(plain, arrays)
         self._budget = WorkBudget.restored(plain)
+        if self._merger is not None and 'merger' in plain:  # not in files of early releases
+            self._merger = SampleMerger.restored(group(plain, 'merger'))
         self._fit_task = None
         if 'fitting' in plain:
             self._resume(group(plain, 'fitting'), arrays)

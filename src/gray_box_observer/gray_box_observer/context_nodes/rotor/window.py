@@ -24,6 +24,7 @@ from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, 
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.samples.voltage_level import noise_range
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -176,9 +177,14 @@ class Window:
 
     @cached_property
     def moves(self) -> int:
-        """How often the voltage has moved by a part of its range, without a pause."""
+        """How often the voltage has moved by a part of its range, without a pause.
+
+        Noise of its own is no move.
+        """
         level = np.concatenate([h.voltage_v for h in self.histories] or [np.zeros(1)])
-        least = MOVE * float(np.ptp(level))
+        if level.size == 1:
+            return 0
+        least = max(MOVE * float(np.ptp(level)), noise_range(level, self.largest_voltage_v))
         count = 0
         moved_at = -1
         reference = float(level[0])

@@ -13,7 +13,8 @@ FIRST_FIT = 128
 """Samples of the first fit; the next ones come with half as many more each, first a quarter."""
 
 FEW = 512
-"""Samples up to which a fit costs so little that it comes more often."""
+"""Samples up to which a fit costs so little that it comes more often, and which a window has, at
+least, once a full one was learnt: of 33 samples one in seven seems to have 1.3 times its noise."""
 
 STILL = 32
 """Samples after which a voltage that was held is looked at again."""

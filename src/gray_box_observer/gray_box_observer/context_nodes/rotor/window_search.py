@@ -15,7 +15,6 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import (
-    MAD_TO_STD,
     bounded_solution,
     logarithmic_curvature,
 )
@@ -34,7 +33,7 @@ from gray_box_observer.context_nodes.rotor.window_equations import (
     start_mean,
     start_precision,
 )
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 

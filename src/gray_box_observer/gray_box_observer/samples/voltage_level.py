@@ -1,4 +1,4 @@
-"""Whether a voltage is held, so that there is nothing to tell a fit by."""
+"""Whether a voltage is held, so that there is nothing to tell a fit by, and how noisy it is."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array
 
 HELD = 0.01
@@ -31,6 +30,16 @@ def is_held(voltage_v: Array) -> bool:
         return True
     if range_v > HELD_NOISY * largest_v:
         return False
+    return range_v <= max(HELD * largest_v, noise_range(voltage_v, largest_v))
+
+
+def noise_range(voltage_v: Array, largest_v: float) -> float:
+    """Return the range in V that a voltage has from its own noise.
+
+    Args:
+        voltage_v: shape (n,), n at least 2.
+        largest_v: voltage that drives the motor, beside which noise is small: what moves by more of
+            it is no noise.
+    """
     noise_v = MAD_TO_STD * float(median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
-    by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
-    return range_v <= max(HELD * largest_v, by_noise_v)
+    return min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)

@@ -1,0 +1,133 @@
+"""Keeps few samples while a voltage is held for long, for a motor that has settled tells little.
+
+After a move every sample is kept for a while, and then ever fewer. Those between are merged: the
+interval is that of all of them, the voltage their mean, the torque that of the last one. So the
+samples that a rotor is told by reach over several moves, however fast they come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    LARGEST_SIGNAL,
+    LATEST_NS,
+    SMALLEST,
+    group,
+    number,
+    whole,
+)
+from gray_box_observer.samples.sample import Sample
+
+ALL_KEPT = 512
+"""Samples behind a move that are all kept."""
+
+HELD_A_SPAN = 32
+"""Samples for which a voltage has been held, over those that are merged to one."""
+
+HELD = 0.01
+"""Share of the largest voltage by which a voltage that is held may be off."""
+
+
+class _Span(NamedTuple):
+    """Samples that are merged, and not passed on yet.
+
+    Attributes:
+        sample_count: of them.
+        interval_s: of all of them.
+        volt_seconds: mean voltage times that interval.
+        stamp_ns: of the last one.
+        torque_nm: likewise.
+    """
+
+    sample_count: int = 0
+    interval_s: float = 0.0
+    volt_seconds: float = 0.0
+    stamp_ns: int = 0
+    torque_nm: float = 0.0
+
+    @property
+    def merged(self) -> tuple[Sample, ...]:
+        """The one sample that they make; empty where there are none."""
+        if not self.sample_count:
+            return ()
+        voltage_v = self.volt_seconds / self.interval_s
+        return (Sample.of_one_motor(self.stamp_ns, self.interval_s, voltage_v, self.torque_nm),)
+
+
+_NONE = _Span()
+
+
+class SampleMerger:
+    """Passes samples of one motor on, fewer while its voltage is held for long."""
+
+    def __init__(self) -> None:
+        self._largest_v = 0.0
+        self._level_v = 0.0  # of the voltage that is held
+        self._held_count = 0  # samples since it has moved
+        self._span = _NONE
+
+    def step(self, sample: Sample) -> tuple[Sample, ...]:
+        """Take the next sample; return those that are kept, none to two, in the order of time.
+
+        The speed of merged samples is not known. Those before a gap are dropped.
+        """
+        interval_s = float(sample.interval_s[0])
+        voltage_v = float(sample.voltage_v[0])
+        self._largest_v = max(self._largest_v, abs(voltage_v))
+        is_near = abs(voltage_v - self._level_v) <= HELD * self._largest_v
+        if not (is_near and interval_s > 0.0):
+            rest = self._span.merged if interval_s > 0.0 else ()
+            self._span = _NONE
+            self._level_v = voltage_v
+            self._held_count = 0
+            return (*rest, sample)
+        self._held_count += 1
+        if self._held_count <= ALL_KEPT:
+            return (sample,)
+        self._span = _Span(
+            self._span.sample_count + 1,
+            self._span.interval_s + interval_s,
+            self._span.volt_seconds + voltage_v * interval_s,
+            sample.stamp_ns,
+            float(sample.torque_nm[0]),
+        )
+        if self._span.sample_count * HELD_A_SPAN < self._held_count:
+            return ()
+        kept_samples = self._span.merged
+        self._span = _NONE
+        return kept_samples
+
+    def state(self) -> dict[str, Any]:
+        """Everything, as plain values."""
+        return {
+            'largest_v': self._largest_v,
+            'level_v': self._level_v,
+            'held_count': self._held_count,
+            'span': self._span._asdict(),
+        }
+
+    @classmethod
+    def restored(cls, plain: Mapping[str, Any]) -> SampleMerger:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            CheckpointError: it is no state that it could have been in.
+        """
+        merger = cls()
+        merger._largest_v = number(plain, 'largest_v', 0.0, LARGEST_SIGNAL)
+        merger._level_v = number(plain, 'level_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+        merger._held_count = whole(plain, 'held_count')
+        span = group(plain, 'span')
+        count = whole(span, 'sample_count')
+        if count:
+            merger._span = _Span(
+                count,
+                number(span, 'interval_s', SMALLEST, LARGEST),
+                number(span, 'volt_seconds', -LARGEST, LARGEST),
+                whole(span, 'stamp_ns', -LATEST_NS, LATEST_NS),
+                number(span, 'torque_nm', -LARGEST_SIGNAL, LARGEST_SIGNAL),
+            )
+        return merger
