@@ -59,6 +59,9 @@ AGREES = 1.1
 POOR = 1.3
 """Residual over noise floor from which an output is not explained."""
 
+BY_CHANCE = 5.0
+"""How far beyond 1 it comes by chance, times the root of the samples, once in a thousand fits."""
+
 COLOURED = 4.0
 """Whiteness of the current's residual from which it is not explained."""
 
@@ -134,18 +137,26 @@ class OutputFit:
         window: the samples.
         noise: of both outputs, by their residuals.
         floor: the least noise that the readings show.
+        largest: residual over noise floor up to which it explains the samples.
     """
 
     fit: Fit
     window: Window
     noise: OutputNoise
     floor: OutputNoise
+    largest: float = POOR
+
+    @property
+    def of_known_motor(self) -> OutputFit:
+        """The same fit where that of fewer samples has led to it: chance is no other motor."""
+        by_chance = 1.0 + BY_CHANCE / float(np.sqrt(self.window.current_a.size))
+        return replace(self, largest=max(POOR, by_chance))
 
     @property
     def explains(self) -> bool:
         """Whether both residuals are noise, that of the current white."""
         noise_a = self.noise.current_a
-        return self.is_within(POOR) and self._whiteness(State.CURRENT, noise_a) < COLOURED
+        return self.is_within(self.largest) and self._whiteness(State.CURRENT, noise_a) < COLOURED
 
     @property
     def explains_rotor(self) -> bool:

@@ -134,12 +134,6 @@ class OutputLearner(WindowLearner):
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
         box = self._white_box
-        part_fit = self._newest_fit
-        if part_fit is not None and part_fit.current_lag_s > 0.0:  # of these, or a part of them
-            search = fit_outputs_again(box, window, prior, FitBefore.from_fit(part_fit))
-            fit = yield from bounded(search, MOST_WORK)
-            if fit is not None and fit.explains and not fit.speed_leads:
-                return self._noted(fit)
         search = fit_outputs(
             box, window, prior, starts, self._tried_walk, stops_at_lead=self.finds_lag
         )
@@ -153,6 +147,18 @@ class OutputLearner(WindowLearner):
             )
             fit = yield from bounded(search, MOST_WORK)
         return self._noted(fit)
+
+    def _fitted_whole(self, window: Window, newest: Fit) -> Pieces[Fit | None]:
+        """Go on from the newest samples; these alone count where all of them take too long."""
+        part_fit = self._newest_fit
+        assert part_fit is not None
+        before = FitBefore.from_fit(part_fit)
+        search = fit_outputs_again(self._white_box, window, self._data_sheet, before)
+        fit = yield from bounded(search, MOST_WORK)
+        if fit is not None and fit.explains and not fit.speed_leads:
+            return self._noted(fit)
+        whole = yield from self._fitted(window, self._data_sheet, [newest.theta])
+        return self._noted(part_fit) if whole is None else whole
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
         before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
@@ -168,7 +174,7 @@ class OutputLearner(WindowLearner):
         if fit is not None and self.finds_lag and is_open:
             late_fit = yield from self._behind_lag(window, prior, fit)
             fit = fit if late_fit is None else late_fit
-        return self._noted(fit)
+        return self._noted(None if fit is None else fit.of_known_motor)
 
     def _behind_lag(
         self, window: Window, prior: LogPrior, lead: OutputFit

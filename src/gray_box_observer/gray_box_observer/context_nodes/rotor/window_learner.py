@@ -232,7 +232,11 @@ class WindowLearner:
         fit = yield from self._fitted(newest, self._data_sheet, starts)
         if fit is None or newest is window or self._is_hopeless(fit):
             return fit
-        return (yield from self._fitted(window, self._data_sheet, [fit.theta]))
+        return (yield from self._fitted_whole(window, fit))
+
+    def _fitted_whole(self, window: Window, newest: Fit) -> Pieces[Fit | None]:
+        """Fit a window whose newest samples are explained by a fit."""
+        return (yield from self._fitted(window, self._data_sheet, [newest.theta]))
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
