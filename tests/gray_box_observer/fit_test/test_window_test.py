@@ -85,6 +85,8 @@ def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_
     assert tested.assessment is rich.assessment
     assert (tested.place, tested.wait) == (2 * FEW - 1, 2 * rich.wait)
     assert tested.evidence.samples == FEW
+    of_fitted_speed = replace(rich, speed_is_fitted=True)
+    assert test.test(replace(later, before=of_fitted_speed), FEW).assessment.samples == FEW
     few_told = replace(rich, assessment=FitAssessment(FitVerdict.MISFIT, 9.0, 9.0, (), FEW))
     assert not test.test(replace(later, before=few_told), FEW).is_lasting_misfit
 

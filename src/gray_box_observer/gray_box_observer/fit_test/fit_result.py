@@ -40,6 +40,8 @@ class FitResult:
         evidence: what its tests have told together.
         delay_s: that was taken off its voltage.
         present_since: place in its stream from which the motor had been the present one.
+        speed_is_fitted: whether the speed in its samples was that of a fit of the whole motor, and
+            not the measured one.
     """
 
     assessment: FitAssessment
@@ -55,16 +57,26 @@ class FitResult:
     evidence: Evidence = NO_EVIDENCE
     delay_s: float = 0.0
     present_since: int = 0
+    speed_is_fitted: bool = False
 
     @property
     def is_lasting_misfit(self) -> bool:
         """Whether there were too many misfits in a row for those of a motor that is changing."""
         return self.misfits > PASSING
 
-    def outweighs(self, count: int, range_v: float) -> bool:
-        """Tell whether a misfit outweighs later samples that show none but tell less."""
-        poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
-        return self.is_lasting_misfit and poorer
+    def outweighs(self, count: int, range_v: float, *, speed_is_fitted: bool) -> bool:
+        """Tell whether a misfit outweighs later samples that show none but tell less.
+
+        Not where it was of another speed: its samples are explained then.
+
+        Args:
+            count: of the later samples.
+            range_v: of their voltage.
+            speed_is_fitted: whether their speed is that of a fit of the whole motor.
+        """
+        is_poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
+        is_same = speed_is_fitted == self.speed_is_fitted
+        return self.is_lasting_misfit and is_same and is_poorer
 
     def state(self, received_count: int) -> dict[str, Any]:
         """Return all of it as plain values; places count back from the newest sample."""
@@ -83,6 +95,7 @@ class FitResult:
             'evidence': self.evidence.to_dict(),
             'delay_s': self.delay_s,
             'present_since': self.present_since - received_count,
+            'speed_is_fitted': self.speed_is_fitted,
         }
 
     @classmethod
@@ -103,4 +116,5 @@ class FitResult:
             Evidence.from_dict(plain['evidence']) if 'evidence' in plain else NO_EVIDENCE,
             plain.get('delay_s', 0.0),  # likewise
             plain.get('present_since', plain['begin']) + received_count,
+            plain.get('speed_is_fitted', False),
         )

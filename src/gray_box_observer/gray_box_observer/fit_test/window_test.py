@@ -426,7 +426,11 @@ class WindowTest:
         range_v = float(np.ptp(samples[VOLTAGE]))
         is_misfit = judgement.verdict is FitVerdict.MISFIT
         is_ok = judgement.verdict is FitVerdict.OK and not is_held(samples[VOLTAGE])
-        if before is not None and not is_misfit and before.outweighs(count, range_v):
+        speed_is_fitted = motor.measured_rad_s is not None
+        is_outweighed = before is not None and before.outweighs(
+            count, range_v, speed_is_fitted=speed_is_fitted
+        )
+        if before is not None and not is_misfit and is_outweighed:
             wait = min(2 * before.wait, LONGEST_WAIT)
             return replace(
                 before,
@@ -456,6 +460,7 @@ class WindowTest:
             motor.evidence if is_misfit else analysis.evidence,
             motor.delay.applied_s,
             motor.present_since,
+            speed_is_fitted,
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:

@@ -313,7 +313,8 @@ def fit_outputs(
     linear = speed_start(white_box, window, starts[0])
     plain = speed_start(white_box, window, starts[0], load_varies=False)
     steady = None
-    if plain is not None and floor.shows_noise:  # one that is late alone leads such a search away
+    # a speed that is late alone, or of few counts, leads such a search away
+    if plain is not None and floor.shows_noise and not floor.step_rad_s:
         search = _settled(white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead)
         steady = yield from bounded(search, MOST_PLAIN_WORK)
     if steady is None or not steady.is_within(CLOSE):
