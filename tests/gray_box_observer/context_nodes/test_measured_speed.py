@@ -38,7 +38,7 @@ from gray_box_observer.expressions.formula import Formula
 from gray_box_observer.fit_test.window_test import MotorUnderTest
 from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.samples import Sample
+from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -655,3 +655,26 @@ def content_with_speed(sensor: str) -> np.ndarray:
     content = content_of(recorded())[:, None, :1024].copy()
     content[3, 0] = [sample.speed_rad_s[0] for sample in readings(sensor)[:1024]]
     return content
+
+
+def test_where_a_fit_of_all_samples_takes_too_long_the_newest_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def of_few(fit: Any) -> Any:
+        def limited(box: Any, window: Window, *others: Any, **named: Any) -> Any:
+            if window.current_a.size > 1024:
+                yield 1
+                return None
+            return (yield from fit(box, window, *others, **named))
+
+        return limited
+
+    for name in ('fit_outputs', 'fit_outputs_again'):
+        monkeypatch.setattr(output_update, name, of_few(getattr(output_update, name)))
+    samples = readings('noisy')[:2048]
+    content = ReplayBuffer.from_samples(list(samples)).content()
+    update = rule()
+    completed(update.learn_remembered(content, samples[-1], asks_speed=True))
+    assert update.is_noisy
+    assert update.replay.stored(0) == 1024
+    assert np.abs(update.theta[0] / TRUTH - 1.0).max() < 0.05

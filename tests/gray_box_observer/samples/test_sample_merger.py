@@ -50,6 +50,13 @@ def test_of_a_voltage_that_is_held_ever_fewer_are_kept_and_their_time_is_whole()
     assert voltages_v @ intervals_s == pytest.approx((held[1:].sum() - 6.0) * INTERVAL_S)
 
 
+def test_one_wrong_reading_leaves_the_voltage_that_moves_as_it_is() -> None:
+    merger = SampleMerger()
+    kept(merger, samples_of(np.array([1.0, 1.0, 1e6, 1.0])))
+    moving = samples_of(1.0 + 0.02 * (np.arange(2000) % 2), begins=-1)
+    assert kept(merger, moving) == moving
+
+
 def test_a_gap_begins_anew() -> None:
     merger = SampleMerger()
     kept(merger, samples_of(np.full(700, 6.0)))

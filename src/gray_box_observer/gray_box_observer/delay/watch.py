@@ -256,7 +256,7 @@ class DelayWatch:
         """Tell whether current and speed together show a delay, or are not asked."""
         instant = None if late_instant is None else late_instant()
         away = (delay_s - self.estimate.applied_s) / self._interval_s
-        return instant is None or instant.supports(away)
+        return instant is None or not math.isfinite(away) or instant.supports(away)
 
     @property
     def searching(self) -> bool:

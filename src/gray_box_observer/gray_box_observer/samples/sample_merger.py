@@ -64,7 +64,7 @@ class SampleMerger:
     """Passes samples of one motor on, fewer while its voltage is held for long."""
 
     def __init__(self) -> None:
-        self._largest_v = 0.0
+        self._largest_v = 0.0  # that was held: one wrong reading is none
         self._level_v = 0.0  # of the voltage that is held
         self._held_count = 0  # samples since it has moved
         self._span = _NONE
@@ -76,14 +76,15 @@ class SampleMerger:
         """
         interval_s = float(sample.interval_s[0])
         voltage_v = float(sample.voltage_v[0])
-        self._largest_v = max(self._largest_v, abs(voltage_v))
-        is_near = abs(voltage_v - self._level_v) <= HELD * self._largest_v
+        largest_v = max(self._largest_v, abs(self._level_v))
+        is_near = abs(voltage_v - self._level_v) <= HELD * largest_v
         if not (is_near and interval_s > 0.0):
             rest = self._span.merged if interval_s > 0.0 else ()
             self._span = _NONE
             self._level_v = voltage_v
             self._held_count = 0
             return (*rest, sample)
+        self._largest_v = largest_v
         self._held_count += 1
         if self._held_count <= ALL_KEPT:
             return (sample,)

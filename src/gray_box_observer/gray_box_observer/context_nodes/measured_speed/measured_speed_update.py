@@ -410,11 +410,11 @@ class MeasuredSpeedUpdate:
             self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
+        samples = samples[:, -fit.window.count :]  # the newest alone may have been fitted
         if fit.explains:
             self.published_mechanics.note_fit(fit, samples.shape[1])
         else:
             self.published_mechanics.note_failure()
-            samples = samples[:, -fit.window.count :]  # the newest alone may have been fitted
         is_late = self._comparison.is_late(fit)
         is_lagging = fit.current_lag_s > 0.0
         if not (self._is_noisy or fit.shows_noise or is_late or is_lagging):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
@@ -20,14 +20,13 @@ WIDEST = 20.0
 """Standard deviation of a logarithm that is reckoned with at most."""
 
 
-def voltage_shares(white_box: MotorWhiteBox, theta: Array, window: Window, runs: FreeRuns) -> Array:
+def voltage_shares(white_box: MotorWhiteBox, theta: Array, runs: FreeRuns) -> Array:
     """Share of the voltage that one unit of every parameter takes, RMS over RMS.
 
     Args:
         white_box: of one motor with a rotor.
         theta: shape (parameter,).
-        window: the samples.
-        runs: the free runs through them at these values.
+        runs: free runs through the samples at these values.
 
     Returns:
         Shape (parameter,), in 1 / unit of the parameter; 0, which is nothing known, for what is
@@ -36,9 +35,10 @@ def voltage_shares(white_box: MotorWhiteBox, theta: Array, window: Window, runs:
     values = white_box.values(theta)
     torque_constant = float(white_box.torque_constant)
     current, speed = np.concatenate([run.states for run in runs.runs]).T
-    voltage = np.concatenate([history.voltage_v for history in window.histories])
+    histories = runs.window.histories
+    voltage = np.concatenate([history.voltage_v for history in histories])
     voltage_before = np.concatenate(
-        [np.append(history.voltage_v[:1], history.voltage_v) for history in window.histories]
+        [np.append(history.voltage_v[:1], history.voltage_v) for history in histories]
     )
     size_v = float(np.sqrt(np.mean(voltage**2)))
     shares = np.zeros(len(white_box.context_nodes))

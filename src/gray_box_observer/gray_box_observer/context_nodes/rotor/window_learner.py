@@ -155,7 +155,7 @@ class WindowLearner:
         self.logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
         self.covariance = _inverse(information + np.diag(prior)) + fit.spread
-        self.share = voltage_shares(self._white_box, fit.theta, window, fit.runs)
+        self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
         self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
         if self._is_ambiguous(window):
