@@ -70,7 +70,7 @@ SPEED_COLOURED = 25.0
 counts, a filter of the sensor or a gear that gives."""
 
 CLOSE = 1.2
-"""The same up to which no other start is searched from."""
+"""Residual over noise floor up to which no other start is searched from."""
 
 MOST_PLAIN_WORK = 131072
 """Work of a search from linear equations without a load, which mostly is enough, at most."""
