@@ -328,8 +328,8 @@ def test_the_constant_voltage_brings_a_winding_to_the_same_end(winding_s: float)
     lag = CurrentLag(1e-3, winding_s)
     path = VoltagePath(NO_ZONE, lag)
     interval_s = np.array([0.7e-3])
-    path.follow(sample_of(1.0, 0.0))
-    path.follow(sample_of(interval_s[0], 5.0))
+    path.follow(sample_of(1.0, 0.0), is_kept=True)
+    path.follow(sample_of(interval_s[0], 5.0), is_kept=True)
     start_v = 5.0 * (1.0 - math.exp(-interval_s[0] / lag.lag_s))  # after a second at 0 V: none
     voltage_v = float(path.voltage(interval_s, np.array([2.0]))[0])
 
@@ -355,10 +355,10 @@ def test_samples_one_by_one_and_together_take_the_same_path() -> None:
     content[VOLTAGE] = rng.uniform(-9.0, 9.0, 60)
     lag = CurrentLag(1.3e-3, 3e-3)
     path = VoltagePath(np.array([2.0]), lag)
-    samples = []
-    for interval_s, command_v in content[[INTERVAL, VOLTAGE], 0].T.tolist():
-        samples.append(path.follow(sample_of(interval_s, command_v)))
-        path.keep(1)
+    samples = [
+        path.follow(sample_of(interval_s, command_v), is_kept=True)
+        for interval_s, command_v in content[[INTERVAL, VOLTAGE], 0].T.tolist()
+    ]
     together = VoltagePath(np.array([2.0]), lag).driven(content)
     assert [s.voltage_v[0] for s in samples] == pytest.approx(together[VOLTAGE, 0].tolist())
     assert [s.interval_s[0] for s in samples] == together[INTERVAL, 0].tolist()
@@ -369,12 +369,12 @@ def test_samples_one_by_one_and_together_take_the_same_path() -> None:
 
 def test_a_held_voltage_is_seen_behind_what_comes_before_it() -> None:
     path = VoltagePath(NO_ZONE, CurrentLag(1e-3, 4e-3))
-    path.follow(sample_of(0.0, 0.0))
+    path.follow(sample_of(0.0, 0.0), is_kept=True)
     ahead = np.array([2e-3]), np.array([6.0])
     interval_s = np.array([0.5e-3])
     expected_v = path.voltage_after(ahead, interval_s, np.array([1.0]))
     assert path.voltage_after(None, *ahead).tolist() == path.voltage(*ahead).tolist()
-    path.follow(sample_of(2e-3, 6.0))
+    path.follow(sample_of(2e-3, 6.0), is_kept=True)
     assert path.voltage(interval_s, np.array([1.0])) == pytest.approx(expected_v)
 
 

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, driven, feed, observed, told
+from rotor_records import CONSTANTS, GEAR_MOTOR, driven, feed, observed, recording_of, told
 
-from dc_motor_sim.simulation import Recording
+from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.delay import DelayVerdict
@@ -126,6 +126,32 @@ def test_a_ramp_from_rest_tells_the_motor_beside_a_noisy_speed(seed: int) -> Non
     value, _, verdict = told(motor, 'resistance')
     assert verdict is Verdict.IDENTIFIED
     assert value == pytest.approx(plant.resistance, rel=0.02)
+
+
+@pytest.mark.slow
+def test_at_slow_samples_a_motor_that_has_changed_in_a_hold_is_found_soon_after_it() -> None:
+    rng = np.random.default_rng(6)
+    lively_v = np.repeat(rng.uniform(-12.0, 12.0, 400), 10)
+    after_v = np.repeat(rng.uniform(-12.0, 12.0, 60), 10)
+    voltage_v = np.concatenate([lively_v, np.full(1200, 6.0), after_v])
+    simulation = Simulation(
+        {'motor': GEAR_MOTOR}, 'external', seed=6, sample_rate_hz=50.0, torque_noise_std=3e-4,
+        speed_mode='rotor',
+    )  # fmt: skip
+    hot = replace(GEAR_MOTOR, resistance=2.6)
+    samples = []
+    for place, volts in enumerate(voltage_v.tolist()):
+        if place == lively_v.size + 600:
+            simulation.set_parameters({'motor': hot})
+        simulation.command('motor', volts)
+        samples.append(simulation.step())
+    record = recording_of(samples)
+    speed_rad_s = record.speed_rad_s[0]
+    noise = 0.02 * speed_rad_s.std() * rng.normal(size=speed_rad_s.size)
+    motor = observed(record, speed_rad_s + noise).motors['motor']
+    assert told(motor, 'resistance')[0] == pytest.approx(hot.resistance, rel=0.02)
+    assert motor.fit.verdict is FitVerdict.OK
+    assert motor.counters['motor changes'] == 1
 
 
 def test_a_memory_for_trials_reaches_over_more_moves_than_the_newest_samples() -> None:

@@ -1,4 +1,4 @@
-"""Fewer samples are kept while a voltage is held: none is lost, and none is moved."""
+"""Fewer samples are kept while a voltage is held: their time is whole, and none is moved."""
 
 from __future__ import annotations
 

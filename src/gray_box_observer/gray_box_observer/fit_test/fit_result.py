@@ -67,7 +67,7 @@ class FitResult:
     def outweighs(self, count: int, range_v: float, *, speed_is_fitted: bool) -> bool:
         """Tell whether a misfit outweighs later samples that show none but tell less.
 
-        Not where it was of another speed: its samples are explained then.
+        Not where it was of the measured speed, and that of the whole motor explains its samples.
 
         Args:
             count: of the later samples.
@@ -75,8 +75,8 @@ class FitResult:
             speed_is_fitted: whether their speed is that of a fit of the whole motor.
         """
         is_poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
-        is_same = speed_is_fitted == self.speed_is_fitted
-        return self.is_lasting_misfit and is_same and is_poorer
+        is_explained = speed_is_fitted and not self.speed_is_fitted
+        return self.is_lasting_misfit and is_poorer and not is_explained
 
     def state(self, received_count: int) -> dict[str, Any]:
         """Return all of it as plain values; places count back from the newest sample."""

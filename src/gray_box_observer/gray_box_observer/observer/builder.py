@@ -152,11 +152,18 @@ def _form(
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
     fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
-    dead_zone_v = np.array([motor.dead_zone_v for motor in motors])
     path = None
-    if dead_zone_v.any() or first.current_lag is not None or first.coasts:
+    if _makes_voltage(motors):
+        dead_zone_v = np.array([motor.dead_zone_v for motor in motors])
         path = VoltagePath(dead_zone_v, first.current_lag, coasts=first.coasts)
     return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales, path)
+
+
+def _makes_voltage(motors: Sequence[MotorConfiguration]) -> bool:
+    """Tell whether the voltage that the white box takes is made of commands."""
+    first = motors[0]
+    has_zone = any(motor.dead_zone_v for motor in motors)
+    return has_zone or first.current_lag is not None or first.coasts
 
 
 def _form_choice(
@@ -288,7 +295,10 @@ def context_nodes(
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
     rules = RecursiveSettings(**configuration.group('recursive'))
     if white_box.has_rotor:
-        return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
+        merges_held = not _makes_voltage(motors)
+        return RotorUpdate(
+            white_box, initial, rules, verdicts, relative_std, merges_held=merges_held
+        )
     if len(motors) == 1 and can_be_output(white_box):
         first = motors[0]
         is_open = first.values['effects'] == 'auto' and not first.estimates_delay

@@ -170,7 +170,7 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._memory: TrialMemory | None = None
-        self._largest_v = 0.0  # of the voltage since trials may come
+        self._newest_v = self._largest_v = 0.0  # voltages; the largest of two samples in a row
         self._place = 0  # of the newest sample
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
 
@@ -237,7 +237,9 @@ class FormChoice:
         """
         if self._open is None:
             return None
-        self._largest_v = max(self._largest_v, abs(float(sample.voltage_v[0])))
+        newest_v = abs(float(sample.voltage_v[0]))
+        self._largest_v = max(self._largest_v, min(newest_v, self._newest_v))
+        self._newest_v = newest_v
         place = int(nodes.replay.received[0])
         new_count = max(0, place - self._place)
         self._place = place
@@ -247,7 +249,7 @@ class FormChoice:
         elif fit.verdict is FitVerdict.OK:
             self._change_count = max(self._change_count - new_count, 0)
         is_doubted = self._is_doubted(fit)
-        self._budget.grant(float(sample.interval_s[0]), new_count)
+        self._budget.grant(float(sample.interval_s[0]), max(new_count, 1))
         is_open = is_doubted or self._has_open_lag
         self.is_idle = not (is_open or may_have_changed) and self._trial is None
         if not is_doubted:
@@ -519,6 +521,7 @@ class FormChoice:
             'is_idle': self.is_idle,
             'change_count': self._change_count,
             'largest_v': self._largest_v,
+            'newest_v': self._newest_v,
         }
         arrays: dict[str, Array] = {}
         if self._memory is not None:
@@ -571,9 +574,10 @@ class FormChoice:
         self._change_count = 0
         if 'change_count' in plain:  # not in files of early releases
             self._change_count = whole(plain, 'change_count')
-        self._largest_v = 0.0
+        self._newest_v = self._largest_v = 0.0
         if 'largest_v' in plain:  # not in files of early releases
             self._largest_v = number(plain, 'largest_v', 0.0, LARGEST_SIGNAL)
+            self._newest_v = number(plain, 'newest_v', 0.0, LARGEST_SIGNAL)
         self._memory = None
         if 'memory' in plain:
             self._memory = TrialMemory.restored(group(plain, 'memory'), arrays, NEWEST)

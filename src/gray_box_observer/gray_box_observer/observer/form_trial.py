@@ -393,7 +393,7 @@ class FormTrial:
             CheckpointError: it is no state that a trial could have been in.
         """
         check_signals(_TRIAL, arrays.get(_TRIAL), longest=NEWEST)
-        if not can_tell(white_box, arrays[_TRIAL]):
+        if not Window.from_samples(white_box, arrays[_TRIAL][:, 0]).moves:
             raise CheckpointError(f'{_TRIAL} holds samples that no trial begins with')
         before_a = number_or_none(plain, 'before_a', 0.0, LARGEST)
         stamp_ns = whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)

@@ -233,9 +233,7 @@ class MotorForm:
         path = self.voltage_path
         for column in content[:, 0].T:
             sample = _sample(column, stamp_ns)
-            take(sample if path is None else path.follow(sample))
-            if path is not None:
-                path.keep(kept_count(nodes))
+            take(sample if path is None else path.follow(sample, is_kept=True))
 
     def residual(self, content: Array, settle_s: float = 0.0) -> float:
         """Return the root mean square of the free run's residual in A, over given samples.
@@ -258,11 +256,6 @@ class MotorForm:
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""
         return content if self.voltage_path is None else self.voltage_path.driven(content)
-
-
-def kept_count(nodes: ContextUpdate) -> int:
-    """Return how many samples a rule that learns has remembered with the newest one."""
-    return nodes.kept_count if isinstance(nodes, RotorUpdate) else 1
 
 
 def _sample(column: Array, stamp_ns: int) -> Sample:

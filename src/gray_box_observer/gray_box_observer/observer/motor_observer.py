@@ -21,7 +21,7 @@ from gray_box_observer.delay import DelayEstimate, DelayRound
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.form_choice import FormChoice
-from gray_box_observer.observer.motor_form import MotorForm, kept_count
+from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
 from gray_box_observer.observer.speed_tracking import SpeedTracking
@@ -316,8 +316,6 @@ class MotorObserver:
         """
         self._tests.complete_due()  # of samples that are learnt again nothing else is deferred
         has_changed = self.context_nodes.learn(sample)
-        if self._voltage_path is not None and not self._is_frozen:
-            self._voltage_path.keep(kept_count(self.context_nodes))
         if self._forecasting is not None:
             self._forecast_ahead = None
             self._intervals_s = self._intervals_s[1], sample.interval_s
@@ -471,7 +469,7 @@ class MotorObserver:
             return
         self.run_deferred()
         self._tests.give_up()
-        samples = [self._follow_path(sample, kept_count=1) for sample in samples]
+        samples = [self._follow_path(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
         learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
@@ -485,19 +483,11 @@ class MotorObserver:
         self._know(self._believed())
         self._forecast_ahead = None
 
-    def _follow_path(self, sample: Sample, kept_count: int = 0) -> Sample:
-        """Go on by a sample; return it with the voltage that the white box takes.
-
-        Args:
-            sample: with the command.
-            kept_count: samples that are remembered with it; what is learnt by itself tells later.
-        """
-        path = self._voltage_path
-        if path is None:
+    def _follow_path(self, sample: Sample) -> Sample:
+        """Go on by a sample; return it with the voltage that the white box takes."""
+        if self._voltage_path is None:
             return sample
-        sample = path.follow(sample)
-        path.keep(kept_count)
-        return sample
+        return self._voltage_path.follow(sample, is_kept=not self._is_frozen)
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from gray_box_observer.safe_io.saved_state import group
 from gray_box_observer.samples.replay_buffer import (
     INTERVAL,
@@ -43,12 +45,16 @@ class TrialMemory:
                 self._replay.append(kept_sample)
 
     def content(self) -> Array:
-        """Return what is remembered, shape (signal, 1, n)."""
-        return self._replay.content()
+        """Return what is remembered, shape (signal, 1, n), up to the newest sample."""
+        content = self._replay.content()
+        for sample in self._merger.pending:
+            signals = (sample.interval_s, sample.voltage_v, sample.torque_nm, np.zeros(1))
+            content = np.concatenate([content, np.array(signals)[:, :, None]], axis=2)
+        return content[:, :, -self._replay.capacity :]
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything, as plain values and arrays."""
-        return {'merger': self._merger.state()}, {_MERGED: self.content()}
+        return {'merger': self._merger.state()}, {_MERGED: self._replay.content()}
 
     @classmethod
     def restored(

@@ -61,7 +61,6 @@ class VoltagePath:
         self._lagging_v = np.zeros(dead_zone_v.shape)
         self._since_s = np.zeros(dead_zone_v.shape)  # the signal history began
         self._commands_v: deque[float] = deque(maxlen=LONGEST)
-        self._newest_commands_v = (0.0, 0.0)  # of the last two samples
 
     @property
     def has_lag(self) -> bool:
@@ -107,20 +106,15 @@ class VoltagePath:
             lagging_v = self._voltage_and_end(lagging_v, *ahead)[1]
         return self._voltage_and_end(lagging_v, interval_s, command_v)[0]
 
-    def keep(self, count: int) -> None:
-        """Remember the commands of the newest samples, as many as are remembered elsewhere.
+    def follow(self, sample: Sample, *, is_kept: bool) -> Sample:
+        """Go on by a sample; return it with the voltage.
 
         Args:
-            count: of the samples: none to two.
+            sample: with the command.
+            is_kept: whether it is remembered elsewhere, and its command here.
         """
-        if count and self._is_alone:
-            self._commands_v.extend(self._newest_commands_v[-count:])
-
-    def follow(self, sample: Sample) -> Sample:
-        """Go on by a sample with its command; return it with the voltage."""
-        if self._is_alone:
-            command_v = float(sample.voltage_v[0])
-            self._newest_commands_v = (self._newest_commands_v[-1], command_v)
+        if is_kept and self._is_alone:
+            self._commands_v.append(float(sample.voltage_v[0]))
         interval_s = sample.interval_s
         known_interval_s = self.known_interval(interval_s, sample.voltage_v)
         if self._lag is None:
@@ -137,7 +131,6 @@ class VoltagePath:
         path_content, self._lagging_v, self._since_s = self._driven_to_end(content)
         self._commands_v.clear()
         self._commands_v.extend(content[VOLTAGE, 0].tolist())
-        self._begin_newest()
         return path_content
 
     def driven(self, content: Array) -> Array:
@@ -163,11 +156,6 @@ class VoltagePath:
         """Tell of commands of one motor, any shape, whether they open its winding."""
         opens: NDArray[np.bool_] = np.abs(command_v) <= self._dead_zone_v[0]
         return opens
-
-    def _begin_newest(self) -> None:
-        """Take the newest command that is remembered for that of the newest sample."""
-        newest_v = self._commands_v[-1] if self._commands_v else 0.0
-        self._newest_commands_v = (newest_v, newest_v)
 
     @property
     def _is_alone(self) -> bool:
@@ -264,7 +252,6 @@ class VoltagePath:
                     f'{LONGEST}'
                 )
             self._commands_v.extend(commands_v.tolist())
-            self._begin_newest()
         elif self.has_lag:
             raise CheckpointError('voltage_path/commands is missing')
         self._lagging_v[motor] = lagging_v

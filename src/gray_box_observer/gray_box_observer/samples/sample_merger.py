@@ -101,6 +101,11 @@ class SampleMerger:
         self._span = _NONE
         return kept_samples
 
+    @property
+    def pending(self) -> tuple[Sample, ...]:
+        """What has come and is not passed on yet, as one sample; empty where nothing has."""
+        return self._span.merged
+
     def state(self) -> dict[str, Any]:
         """Everything, as plain values."""
         return {

@@ -41,7 +41,7 @@ from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
     AGAIN,
-    FEW,
+    FIRST_FIT,
     LONGEST_WAIT,
     WINDOW,
     WindowSchedule,
@@ -52,7 +52,7 @@ from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, flag, group, 
 from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.samples.sample_merger import SampleMerger
-from gray_box_observer.samples.voltage_level import is_held
+from gray_box_observer.samples.voltage_level import HELD
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -83,9 +83,8 @@ class RotorUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
             nothing is stated. None: of none of them.
-
-    Attributes:
-        kept_count: samples that the newest one has brought to what is remembered: none to two.
+        merges_held: whether fewer samples are kept while the voltage is held. Not where that is
+            made of commands, which are remembered sample by sample.
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -97,6 +96,8 @@ class RotorUpdate:
         rules: RecursiveSettings | None = None,
         verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
+        *,
+        merges_held: bool = True,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveSettings()
@@ -111,8 +112,8 @@ class RotorUpdate:
         )
         capacity = max(self._rules.replay_capacity, WINDOW)
         self.replay = ReplayBuffer(1, capacity, speed_measured=self._learner.speed_measured)
-        self.kept_count = 0
-        self._merger = None if self._learner.speed_measured else SampleMerger()
+        merges = merges_held and not self._learner.speed_measured
+        self._merger = SampleMerger() if merges else None
         self._schedule = WindowSchedule()
         self._stamp_ns = 0
         self._is_frozen = False
@@ -206,7 +207,6 @@ class RotorUpdate:
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
         self._stamp_ns = sample.stamp_ns
-        self.kept_count = 0
         if self._is_frozen:
             return
         if self._resumes:
@@ -215,8 +215,7 @@ class RotorUpdate:
         samples = (sample,) if self._merger is None else self._merger.step(sample)
         for one in samples:
             self.replay.append(one)
-        self.kept_count = len(samples)
-        self._schedule.place += self.kept_count
+        self._schedule.place += len(samples)
         self._budget.grant(float(sample.interval_s[0]))
 
     @property
@@ -334,11 +333,12 @@ class RotorUpdate:
         schedule = self._schedule
         learner = self._learner
         voltage = samples[VOLTAGE, 1:]
-        if is_held(voltage):  # a rotor that has settled tells its level alone
+        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
+            # a rotor that has settled tells its level alone
             schedule.skip(place, is_settled=learner.is_settled)
             return False
-        if learner.memory is not None and count < FEW:  # chance would look like another motor
-            schedule.due = place + FEW - count
+        if learner.memory is not None and count < FIRST_FIT:  # chance would be another motor
+            schedule.due = place + FIRST_FIT - count
             return False
         window = learner.window(samples)
         has_fit = yield from learner.learn(window, is_full=count >= WINDOW)
