@@ -244,7 +244,7 @@ class OutputFit:
     @property
     def shows_noise(self) -> bool:
         """Whether the speed has more noise than is always believed."""
-        return self.noise.speed_rad_s > SEEN * self.floor.least_rad_s
+        return self.noise.shows_noise
 
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""
@@ -311,10 +311,11 @@ def fit_outputs(
         if walk_fit is not None and walk_fit.explains:
             return walk_fit
     linear = speed_start(white_box, window, starts[0])
-    plain = speed_start(white_box, window, starts[0], load_varies=False)
+    plain = None
+    if floor.shows_noise and not floor.step_rad_s:  # late alone, or counted, it leads astray
+        plain = speed_start(white_box, window, starts[0], load_varies=False)
     steady = None
-    # a speed that is late alone, or of few counts, leads such a search away
-    if plain is not None and floor.shows_noise and not floor.step_rad_s:
+    if plain is not None:
         search = _settled(white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead)
         steady = yield from bounded(search, MOST_PLAIN_WORK)
     if steady is None or not steady.is_within(CLOSE):
