@@ -85,8 +85,11 @@ def test_a_lasting_misfit_that_tells_more_stands_and_what_later_samples_tell_is_
     assert tested.assessment is rich.assessment
     assert (tested.place, tested.wait) == (2 * FEW - 1, 2 * rich.wait)
     assert tested.evidence.samples == FEW
+    assert rich.outweighs(FEW, 1.0, speed_is_fitted=False)
+    assert not rich.outweighs(FEW, 1.0, speed_is_fitted=True)  # its speed was the measured one
     of_fitted_speed = replace(rich, speed_is_fitted=True)
-    assert test.test(replace(later, before=of_fitted_speed), FEW).assessment.samples == FEW
+    assert of_fitted_speed.outweighs(FEW, 1.0, speed_is_fitted=False)
+    assert of_fitted_speed.outweighs(FEW, 1.0, speed_is_fitted=True)
     few_told = replace(rich, assessment=FitAssessment(FitVerdict.MISFIT, 9.0, 9.0, (), FEW))
     assert not test.test(replace(later, before=few_told), FEW).is_lasting_misfit
 
