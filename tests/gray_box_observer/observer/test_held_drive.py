@@ -96,11 +96,10 @@ def _cruise() -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', [2])
-def test_beside_a_noisy_speed_the_motor_stays_the_same_and_punctual(seed: int) -> None:
+def test_beside_a_noisy_speed_the_motor_stays_the_same_and_punctual() -> None:
     record = driven(GEAR_MOTOR, _cruise())
     speed_rad_s = record.speed_rad_s[0]
-    noise = np.random.default_rng(seed).normal(size=speed_rad_s.size)
+    noise = np.random.default_rng(2).normal(size=speed_rad_s.size)
     observer = observed(record, speed_rad_s + 0.01 * speed_rad_s.std() * noise)
     motor = observer.motors['motor']
     assert motor.counters['motor changes'] == 0

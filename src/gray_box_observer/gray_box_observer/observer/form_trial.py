@@ -472,7 +472,7 @@ def _content(backlog: Sequence[Array]) -> Array:
     return np.stack(backlog, axis=1)[:, None]
 
 
-def can_tell(white_box: MotorWhiteBox, content: Array, largest_v: float = 0.0) -> bool:
+def can_tell(white_box: MotorWhiteBox, content: Array, largest_v: float) -> bool:
     """Tell whether the voltage has moved often enough to tell a rotor, or an effect.
 
     Args:

@@ -20,15 +20,13 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.samples.voltage_level import HELD
 
 ALL_KEPT = 512
 """Samples behind a move that are all kept."""
 
 HELD_A_SPAN = 32
 """Samples for which a voltage has been held, over those that are merged to one."""
-
-HELD = 0.01
-"""Share of the largest voltage by which a voltage that is held may be off."""
 
 
 class _Span(NamedTuple):
