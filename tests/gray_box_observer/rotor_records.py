@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Sample, Simulation
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.observer.builder import motor_observer
+from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample as PairedSample
 from gray_box_observer.settings.configuration import Configuration
 
 GEAR_MOTOR = PlantParameters(
@@ -82,6 +85,26 @@ def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0)
             observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
         begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
     return begin_ns
+
+
+def samples_of(record: Recording) -> list[PairedSample]:
+    """Return samples of one motor at 1 kHz, as pairing would make them."""
+    return [
+        PairedSample.of_one_motor(
+            stamp,
+            1e-3 if k else 0.0,
+            float(record.voltage_v[0, max(k - 1, 0)]),
+            float(record.torque_nm[0, k]),
+        )
+        for k, stamp in enumerate(record.stamp_ns.tolist())
+    ]
+
+
+def made(source: str = 'auto') -> MotorObserver:
+    """Return a motor that has learnt nothing, its predictor left out."""
+    configuration = Configuration.from_flat({**CONSTANTS, 'motor.speed_source': source})
+    motors = list(configuration.motors.values())
+    return motor_observer(configuration, motors, None, speed_measured=False)
 
 
 def observed(

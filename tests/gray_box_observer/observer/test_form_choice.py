@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, recorded
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, feed, made, recorded, samples_of
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
@@ -16,11 +16,9 @@ from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.form_trial import CATCH_UP
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
 THESIS_MOTOR = PlantParameters(
@@ -92,26 +90,6 @@ def test_a_restored_motor_has_the_form_that_it_had(tmp_path: Path) -> None:
     assert motor.speed_reason == before.motors['motor'].speed_reason
     assert np.array_equal(motor.estimate.value, before.motors['motor'].estimate.value)
     assert motor.state()[0]['speed'] == before.motors['motor'].state()[0]['speed']
-
-
-def samples_of(record: Recording) -> list[Sample]:
-    """Return samples as pairing would make them."""
-    return [
-        Sample.of_one_motor(
-            stamp,
-            1e-3 if k else 0.0,
-            float(record.voltage_v[0, max(k - 1, 0)]),
-            float(record.torque_nm[0, k]),
-        )
-        for k, stamp in enumerate(record.stamp_ns.tolist())
-    ]
-
-
-def made() -> MotorObserver:
-    """Return a motor that has learnt nothing, its predictor left out."""
-    configuration = Configuration.from_flat(CONSTANTS)
-    motors = list(configuration.motors.values())
-    return motor_observer(configuration, motors, None, speed_measured=False)
 
 
 def trial_of(motor: MotorObserver) -> dict[str, Any]:

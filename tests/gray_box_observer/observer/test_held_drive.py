@@ -7,18 +7,25 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, driven, feed, observed, recording_of, told
+from rotor_records import (
+    CONSTANTS,
+    GEAR_MOTOR,
+    driven,
+    feed,
+    made,
+    observed,
+    recording_of,
+    samples_of,
+    told,
+)
 
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.delay import DelayVerdict
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.observer.builder import motor_observer
-from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.trial_memory import TrialMemory
-from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -31,24 +38,6 @@ BOX = MotorWhiteBox(('inductance', 'resistance'), 0.02, {'back_emf_constant': 0.
 def _record() -> Recording:
     """Record a motor whose voltage moves every 2.5 s, a thousand samples a second."""
     return driven(GEAR_MOTOR, np.repeat(LEVELS_V, HOLD))
-
-
-def _samples() -> list[Sample]:
-    """Return the samples of the record, as pairing would make them."""
-    record = _record()
-    volts = [0.0, *record.voltage_v[0, :-1].tolist()]
-    signals = zip(record.stamp_ns.tolist(), volts, record.torque_nm[0].tolist(), strict=True)
-    return [
-        Sample.of_one_motor(stamp_ns, 1e-3 if k else 0.0, volt, torque)
-        for k, (stamp_ns, volt, torque) in enumerate(signals)
-    ]
-
-
-def _made(source: str) -> MotorObserver:
-    """Return a motor that has learnt nothing, its predictor left out."""
-    configuration = Configuration.from_flat({**CONSTANTS, 'motor.speed_source': source})
-    motors = list(configuration.motors.values())
-    return motor_observer(configuration, motors, None, speed_measured=False)
 
 
 @pytest.mark.slow
@@ -68,12 +57,12 @@ def test_the_motor_is_found_behind_few_moves(source: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(('source', 'end'), [('auto', 4000), ('auto', 6200), ('rotor', 9300)])
 def test_what_is_saved_on_the_way_goes_on_bit_for_bit(source: str, end: int) -> None:
-    through = _made(source)
-    for sample in _samples()[:end]:
+    through = made(source)
+    for sample in samples_of(_record())[:end]:
         through.step(sample)
-    restored = _made(source)
+    restored = made(source)
     restored.restore(*through.state())
-    for sample in _samples()[end:]:
+    for sample in samples_of(_record())[end:]:
         through.step(sample)
         restored.step(sample)
     states = [motor.state() for motor in (through, restored)]
