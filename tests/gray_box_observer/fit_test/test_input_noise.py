@@ -20,8 +20,9 @@ from gray_box_observer.fit_test.input_noise import (
 )
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.flow import swapped_logarithms
+from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 
 SEEDS = 40
 CURRENT_STD = 0.01
@@ -171,3 +172,15 @@ def test_intervals_without_a_past_count_for_nothing() -> None:
 def test_a_speed_that_nobody_measures_has_no_noise() -> None:
     blocked = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
     assert not _shift(blocked, _measured(turning_motor(RHO), 0, Noise(speed=4.0))).any()
+
+
+def test_a_rotor_that_cannot_be_run_answers_no_noise() -> None:
+    """A trial of a form may end at values at which nothing can be run."""
+    nodes = 'inductance', 'resistance', 'inertia', 'viscous_friction'
+    rotor = MotorWhiteBox(nodes, TORQUE_CONSTANT, {'back_emf_constant': 0.02})
+    p = to_coordinates(np.array([[1e2, 1e-4, 1e-12, 1e-12]]))
+    run = rotor_free_run(rotor, p, _measured(turning_motor(RHO), 1, VOLTAGE))
+    noise = Amount(VOLTAGE.voltage**2, 1e-6)
+    variances = {BY_NEIGHBOURS: noise, BY_THE_ONE_BEFORE: noise}
+    assert not isinstance(run, RotorFreeRun)
+    assert (input_noise_scores(rotor, p, run, variances) == 0.0).all()

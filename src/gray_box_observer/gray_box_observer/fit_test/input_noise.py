@@ -149,10 +149,12 @@ def input_noise_scores(
 
     Returns:
         Shape (1 + coordinate,): by the first state and by the coordinates' logarithms; zero where
-        neither has noise.
+        neither has noise, and of a rotor whose values cannot be run.
     """
     assert isinstance(white_box, MotorWhiteBox)
     scores = np.zeros(1 + p.shape[1])
+    if white_box.has_rotor and not isinstance(run, RotorFreeRun):
+        return scores
     voltage_v2 = _voltage_variance(run, variances)
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
     if not max(voltage_v2, std_rad_s) > 0.0:
