@@ -16,8 +16,10 @@ RIDGE = 1e-6
 """Pull towards the initial guess, as a fraction of the mean information: decides only what data
 leave open."""
 
-FARTHEST = 1000.0
-"""Factor, at most, between the guess and where the search starts."""
+LEAST, MOST = 1e-3, 1e6
+"""Coordinates where the search starts, over those of the guess. Of one that is next to nothing the
+logarithm tells a step nothing; but 1 / L and R / L of a small motor are 10,000 times those of the
+default guess."""
 
 
 def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, window: int) -> Array:
@@ -33,7 +35,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, win
         window: samples between the two ends of a difference.
 
     Returns:
-        Shape (motor, coordinate), positive, within a factor of FARTHEST of the guess.
+        Shape (motor, coordinate), positive, within the factors LEAST and MOST of the guess.
     """
     phi, drive = integrated_regressors(
         white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
@@ -50,7 +52,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, win
     right = np.einsum('mka,mk->ma', regressors, change * whole) + pull
     matrix = information + pull[..., None] * np.eye(n)
     ratio = bounded_solution(matrix, right, np.zeros(n), np.full(n, np.inf))
-    start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), 1.0 / FARTHEST, FARTHEST)
+    start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), LEAST, MOST)
     return start
 
 
