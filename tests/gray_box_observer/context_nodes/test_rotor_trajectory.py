@@ -190,6 +190,27 @@ def test_a_rotor_that_friction_holds_is_followed_in_one_step(
 
 
 @pytest.mark.parametrize('compiled', [True, False])
+def test_a_motor_without_voltage_comes_to_rest_in_few_steps(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a current of next to nothing a share is less than nothing."""
+    p = coordinates(BOX, np.array([3.5e-4, 16.7, 3.5e-4, 8e-5, 4e-2]))
+    start = np.array([1e-8, 0.01])
+
+    def follow(count: int, length_s: float) -> Run:
+        lengths = np.full(count, length_s)
+        return run(KT, p, start, np.zeros(count), lengths, LIMITS, is_compiled=compiled)
+
+    at_once = follow(40, 4e-3)
+    assert at_once.is_bounded
+    assert at_once.steps == rotor_trajectory.HELD_COST * 40
+    monkeypatch.setattr(rotor_trajectory, 'LARGEST_STEP', 0.05)
+    finely = follow(4000, 4e-5).states[::100]
+    assert np.abs(at_once.states - finely)[:, 0].max() < 1e-8
+    assert np.abs(at_once.states - finely)[:, 1].max() < 1e-5
+
+
+@pytest.mark.parametrize('compiled', [True, False])
 @pytest.mark.parametrize('place', [0, 1, 3, 6, 7, 8, 9])
 def test_derivatives_with_the_rotor_held_are_finite_differences(place: int, compiled: bool) -> None:
     volts = np.linspace(6.0, 9.0, 8)

@@ -8,7 +8,8 @@
 enum { MOST_CORRECTIONS = 8 };
 #define FEWEST_DECAYS 10.0 /* of the speed over a length, from which it is taken to follow */
 #define AT_REST 1e-9       /* rad/s by which it may still be off */
-#define FOLLOWING 1e-4     /* share of the current's rate that may be left out */
+#define FOLLOWING 1e-4     /* share of the current's rate that may be left out, or of that which
+                              the current has at which friction gives way */
 #define NEARLY_NONE 1e-6   /* exponent below which its series serves */
 
 /* Let the speed come to rest under a current, by Newton's method; `there` is the rate at last.
@@ -60,8 +61,10 @@ static int held_moved(const double *p, double torque_constant, const double *sta
     to[CURRENT] = from[CURRENT] + step + left * slip;
     to[SPEED] = from[SPEED] + turns * step;
     if (!at_rest(p, torque_constant, to, voltage, length, &last)) return 0;
-    const double size =
-        absolute(rate) + absolute(slope) * larger(absolute(from[CURRENT]), absolute(to[CURRENT]));
+    const double gives_way = p[COULOMB_FRICTION] / absolute(first.by_state[SPEED][CURRENT]);
+    const double largest =
+        larger(gives_way, larger(absolute(from[CURRENT]), absolute(to[CURRENT])));
+    const double size = absolute(rate) + absolute(slope) * largest;
     const double off = last.value[CURRENT] - rate - slope * (to[CURRENT] - from[CURRENT]);
     const double late = first.by_state[CURRENT][SPEED] * turns * rate / decay;
     if (!(absolute(off) + absolute(late) + absolute(slip) / length <= FOLLOWING * size)) return 0;

@@ -28,7 +28,8 @@ AT_REST = 1e-9
 """Speed in rad/s by which it may still be off."""
 
 FOLLOWING = 1e-4
-"""Share of the current's rate that may be left out."""
+"""Share of the current's rate that may be left out, or of that which the current has at which
+friction gives way."""
 
 NEARLY_NONE = 1e-6
 """Exponent below which its series serves."""
@@ -39,13 +40,16 @@ def may_be_held(here: Linear, length_s: float) -> bool:
     return bool(-here.by_state[State.SPEED][State.SPEED] * length_s >= FEWEST_DECAYS)
 
 
-def held_motion(rate_at: RateAt, start: list[float], length_s: float) -> Linear | None:
+def held_motion(
+    rate_at: RateAt, start: list[float], length_s: float, friction_rad_s2: float
+) -> Linear | None:
     """Move on by a length over which friction holds the rotor; None where it does not.
 
     Args:
         rate_at: rate at given states.
         start: the states.
         length_s: how far.
+        friction_rad_s2: what dry friction takes of the acceleration of a rotor that turns.
     """
     begin = _at_rest(rate_at, start, length_s)
     if begin is None:
@@ -67,7 +71,8 @@ def held_motion(rate_at: RateAt, start: list[float], length_s: float) -> Linear 
     if end is None:
         return None
     to_speed, last = end
-    size = abs(rate) + abs(slope) * max(abs(start[State.CURRENT]), abs(current))
+    gives_way_a = friction_rad_s2 / abs(first.by_state[State.SPEED][State.CURRENT])
+    size = abs(rate) + abs(slope) * max(gives_way_a, abs(start[State.CURRENT]), abs(current))
     off = last.value[State.CURRENT] - rate - slope * (current - start[State.CURRENT])
     late = by_speed * turns * rate / decay
     if not abs(off) + abs(late) + abs(slip_a) / length_s <= FOLLOWING * size:
