@@ -58,6 +58,10 @@ NEAR = 0.5
 LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
 
+SHORTEST = 0.03
+"""Shortest L/R that a step leads to, in sample intervals: no sample tells a shorter one from it, and
+of that a run would take so many steps that it is given up."""
+
 LOOSE = 0.1
 """Information of a logarithm below which a step that it makes too long is cut for it alone: a
 factor of e then moves chi-square by less than that."""
@@ -126,6 +130,7 @@ class Search:
         self._floor_a = max(
             LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
         )
+        self._shortest_s = SHORTEST * window.interval_s
         self.logarithms = np.clip(logarithms, self._lower, self._upper)
         self.promised_gain = 0.0
         self.beyond = self.logarithms
@@ -138,6 +143,16 @@ class Search:
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
         self._runs: FreeRuns | None = None
         self.scale_a = np.inf
+
+    def _within_bounds(self, logarithms: Array) -> Array:
+        """Return the nearest logarithms that a step may lead to."""
+        within = np.clip(logarithms, self._lower, self._upper)
+        nodes = self.white_box.context_nodes
+        if 'inductance' in nodes:
+            resistance = self.white_box.values(np.exp(within))['resistance']
+            place = nodes.index('inductance')
+            within[place] = max(within[place], np.log(self._shortest_s * resistance))
+        return within
 
     def settle(self) -> Pieces[None]:
         """Run where the search begins, and move the first states alone to where they fit best."""
@@ -301,7 +316,7 @@ class Search:
                 (precision + damping * np.diag(size))[None], right[None], -most, most
             )[0]
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-            logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
+            logarithms = self._within_bounds(self.logarithms + step)
             step = logarithms - self.logarithms
             promised_gain = float(2.0 * step @ right - step @ precision @ step)
             if attempt and promised_gain < least_gain:
