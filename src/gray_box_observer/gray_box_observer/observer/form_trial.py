@@ -61,7 +61,8 @@ FEW_CANDIDATES = 4
 MOST_CANDIDATES = FEW_CANDIDATES + 1
 
 LARGEST_STD = 0.25
-"""Relative standard deviation of inductance, resistance and inertia up to which they are told."""
+"""Relative standard deviation of resistance and inertia up to which they are told. Samples that
+come more slowly than L/R say nothing of the inductance, and a rotor shows all the same."""
 
 EVIDENCE = 50.0
 """Log-likelihood that the other form must bring. Drawn rotors bring 180 and more, and a rotor
@@ -81,7 +82,7 @@ LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
 
 _RESISTANCE = 'resistance'
-_DECISIVE = ('inductance', _RESISTANCE, 'inertia')
+_DECISIVE = (_RESISTANCE, 'inertia')
 
 _TRIAL = 'trial'
 _BACKLOG = 'backlog'
