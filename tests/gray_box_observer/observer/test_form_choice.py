@@ -44,14 +44,16 @@ def test_a_free_rotor_is_chosen_and_identified() -> None:
     assert motor.estimate.identified(0)
 
 
-def test_a_motor_of_the_thesis_keeps_its_form_bit_for_bit() -> None:
+def test_a_motor_of_the_thesis_keeps_its_form_and_values_bit_for_bit() -> None:
     record = recorded(THESIS_MOTOR, LIVELY, 4.0, 1)
     chosen = observed(record).motors['motor']
     stated = observed(record, **{'motor.speed_source': 'torque_constant'}).motors['motor']
     assert chosen.white_box.speed_source == 'torque_constant'
     assert chosen.estimate.identified(0)
     assert np.array_equal(chosen.estimate.value, stated.estimate.value)
-    assert np.array_equal(chosen.estimate.covariance, stated.estimate.covariance)
+    wider = chosen.estimate.std / stated.estimate.std  # by a rotor that might turn
+    assert (wider >= 1.0).all()
+    assert (wider < 1.001).all()
 
 
 @pytest.mark.parametrize(

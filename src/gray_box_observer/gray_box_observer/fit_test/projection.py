@@ -36,6 +36,20 @@ class Amount:
         share = 1.0 / (1.0 + ratio * ratio)
         return Amount(share * self.mean, math.sqrt(1.0 - share) * std)
 
+    def chance(self, std: float, odds: float) -> float:
+        """Return the probability that there is any.
+
+        Args:
+            std: standard deviation of what there is then, about zero, known beforehand.
+            odds: that there is any, known beforehand.
+        """
+        if not self.std < math.inf:
+            return odds / (1.0 + odds)
+        share = self.std / math.hypot(self.std, std)
+        stds = self.mean / max(self.std, 1e-300)
+        told = math.log(max(odds * share, 1e-300)) + 0.5 * stds * stds * (1.0 - share * share)
+        return 1.0 / (1.0 + math.exp(-min(max(told, -MOST_ODDS), MOST_ODDS)))
+
     @property
     def size(self) -> float:
         """Root mean square of it."""
@@ -43,6 +57,9 @@ class Amount:
 
 
 UNKNOWN = Amount(0.0, math.inf)
+
+MOST_ODDS = 500.0
+"""Logarithm of odds, beyond which something is certain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +70,12 @@ class Doubt:
         response_a: shape (k + 1,): of the current, to as much as is likely beforehand: to one
             standard deviation.
         least_stds: of what the data tell, from which it counts.
+        odds: beforehand, that there is any; None: there is some.
     """
 
     response_a: Array
     least_stds: float = 0.0
+    odds: float | None = None
 
 
 class Projection:
@@ -173,10 +192,12 @@ class Projection:
         """
         if not np.isfinite(doubt.response_a).all():  # of an absurd motor
             return np.empty((0, self._unknowns - 1))
-        amount = self.amount(doubt.response_a, noise_a, is_white=is_white).likely(1.0)
+        shown = self.amount(doubt.response_a, noise_a, is_white=is_white)
+        amount = shown.likely(1.0)
         if abs(amount.mean) < doubt.least_stds * amount.std:
             return np.empty((0, self._unknowns - 1))
-        return amount.size * self.shift(self.with_weight(doubt.response_a))[None]
+        chance = 1.0 if doubt.odds is None else shown.chance(1.0, doubt.odds)
+        return math.sqrt(chance) * amount.size * self.shift(self.with_weight(doubt.response_a))[None]
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""

@@ -23,6 +23,7 @@ from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_mea
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
+from gray_box_observer.fit_test.hidden_rotor import hidden_rotor_doubts
 from gray_box_observer.fit_test.input_noise import (
     BY_NEIGHBOURS,
     BY_THE_ONE_BEFORE,
@@ -231,6 +232,8 @@ def analysis_in_pieces(
     lag_s: float,
     measured_rad_s: Array | None,
     late_instant: LateInstant | None = None,
+    *,
+    speed_is_guess: bool = False,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -246,6 +249,7 @@ def analysis_in_pieces(
             whole motor; else None.
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
             that acts late; None: nothing.
+        speed_is_guess: whether a rotor may turn though the speed is taken for Kt i.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -320,6 +324,7 @@ def analysis_in_pieces(
                 *friction_doubts(white_box, run, theta),
                 *late_speed_doubts(white_box, run, theta),
                 *lag_doubts(run, lag_s),
+                *(hidden_rotor_doubts(run) if speed_is_guess else ()),
             )
         ),
     ]

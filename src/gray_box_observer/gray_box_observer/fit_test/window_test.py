@@ -275,6 +275,11 @@ class WindowTest:
     def _knows_speed(self) -> bool:
         return self.white_box.speed_measured or self.white_box.has_rotor
 
+    @property
+    def _speed_is_guess(self) -> bool:
+        is_stated = self.configuration.values['speed_source'] == 'torque_constant'
+        return not (self._knows_speed or is_stated)
+
     def can_tell(self, motor: MotorUnderTest, count: int) -> bool:
         """Tell whether so many newest samples tell something: the voltage moves among them.
 
@@ -338,6 +343,7 @@ class WindowTest:
                 0.0 if lag is None else lag.lag_s,
                 motor.newest_measured(count),
                 motor.late_instant,
+                speed_is_guess=self._speed_is_guess,
             )
         )
         yield count
@@ -470,8 +476,7 @@ class WindowTest:
         """
         white_box = self.white_box
         nodes = white_box.context_nodes
-        is_guess = self.configuration.values['speed_source'] != 'torque_constant'
-        if self._knows_speed or not is_guess or 'resistance' not in nodes:
+        if not self._speed_is_guess or 'resistance' not in nodes:
             return judgement
         place = nodes.index('resistance')
         back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)

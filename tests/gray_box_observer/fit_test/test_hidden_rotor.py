@@ -1,0 +1,68 @@
+"""A rotor that nobody measures moves R before it shows, and the standard deviation knows that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_motor_records import (
+    TRUTH,
+    WHITE_BOX,
+    Floats,
+    Record,
+    current_of,
+    current_of_free_rotor,
+    noise,
+    steps,
+)
+
+from gray_box_observer.fit_test.free_run import free_run
+from gray_box_observer.fit_test.hidden_rotor import ODDS, hidden_rotor_doubts
+from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
+from gray_box_observer.white_box.flow import swapped_logarithms
+
+SAMPLES = 200
+NOISE_A = 0.01
+SLOW_S = 1.5
+"""Mechanical time constant of which a fifth of a second shows little."""
+
+
+def _bias_and_shift(current_a: Floats, seed: int) -> tuple[Floats, Floats]:
+    """By how much a fit is off in the logarithms, and by how much the doubt leaves them open."""
+    measured_a = current_a + noise(SAMPLES, NOISE_A, seed)
+    run = free_run(WHITE_BOX, TRUTH, Record(steps(SAMPLES, seed), measured_a).stretch)
+    columns = np.column_stack([run.jacobian[:, 0], swapped_logarithms(run.jacobian[:, 1:])])
+    bias = np.linalg.lstsq(columns, run.residual_a, rcond=None)[0][1:]
+    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
+    (doubt,) = hidden_rotor_doubts(run)
+    return bias, projection.open_shift(doubt, NOISE_A, is_white=True)[0]
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_the_shift_is_about_as_large_as_what_the_rotor_moves(seed: int) -> None:
+    current_a = current_of_free_rotor(steps(SAMPLES, seed), SLOW_S)
+    bias, shift = _bias_and_shift(current_a, seed)
+    assert abs(bias[1]) > 0.005
+    assert 0.5 * abs(bias[1]) < abs(shift[1]) < 2.0 * abs(bias[1])
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_where_a_rotor_would_show_and_does_not_nothing_is_left_open(seed: int) -> None:
+    voltage_v = steps(SAMPLES, seed)
+    _, shift = _bias_and_shift(current_of(voltage_v), seed)
+    assert np.abs(shift).max() < 3e-3
+
+
+def test_a_voltage_that_is_held_leaves_no_doubt() -> None:
+    voltage_v = np.full(SAMPLES, 6.0)
+    record = Record(voltage_v, current_of(voltage_v))
+    assert hidden_rotor_doubts(free_run(WHITE_BOX, TRUTH, record.stretch)) == []
+
+
+def test_the_odds_follow_what_the_data_tell() -> None:
+    sure = ODDS / (1.0 + ODDS)
+    assert UNKNOWN.chance(1.0, ODDS) == pytest.approx(sure)
+    assert Amount(0.0, 100.0).chance(1.0, ODDS) == pytest.approx(sure, rel=1e-3)
+    assert Amount(0.0, 1e-4).chance(1.0, ODDS) < 1.1e-3
+    assert Amount(0.1, 1e-2).chance(1.0, ODDS) == pytest.approx(1.0)
+    assert Amount(1e9, 0.0).chance(1.0, ODDS) == pytest.approx(1.0)
+    assert 0.0 <= Amount(0.0, 0.0).chance(1.0, ODDS) < 1e-100
