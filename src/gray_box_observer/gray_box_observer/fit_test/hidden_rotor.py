@@ -1,7 +1,7 @@
 """What a rotor that nobody measures would do to an estimate whose speed is taken for Kt i.
 
-A rotor that begins to turn has the speed of all the charge that has flowed: ``w = Kt / J`` times the
-integral of i. In the first moves of a voltage that looks like resistance, and leaves next to
+A rotor that begins to turn has the speed of all the charge that has flowed: ``w = Kt / J`` times
+the integral of i. In the first moves of a voltage that looks like resistance, and leaves next to
 nothing. How much of it there is, the data tell together with what is likely beforehand. Where they
 would show one, and do not, little is left of the odds.
 """

@@ -47,8 +47,8 @@ class Amount:
             return odds / (1.0 + odds)
         share = self.std / math.hypot(self.std, std)
         stds = self.mean / max(self.std, 1e-300)
-        told = math.log(max(odds * share, 1e-300)) + 0.5 * stds * stds * (1.0 - share * share)
-        return 1.0 / (1.0 + math.exp(-min(max(told, -MOST_ODDS), MOST_ODDS)))
+        evidence = math.log(max(odds * share, 1e-300)) + 0.5 * stds * stds * (1.0 - share * share)
+        return 1.0 / (1.0 + math.exp(-min(max(evidence, -MOST_ODDS), MOST_ODDS)))
 
     @property
     def size(self) -> float:
@@ -192,12 +192,13 @@ class Projection:
         """
         if not np.isfinite(doubt.response_a).all():  # of an absurd motor
             return np.empty((0, self._unknowns - 1))
-        shown = self.amount(doubt.response_a, noise_a, is_white=is_white)
-        amount = shown.likely(1.0)
+        amount_of_data = self.amount(doubt.response_a, noise_a, is_white=is_white)
+        amount = amount_of_data.likely(1.0)
         if abs(amount.mean) < doubt.least_stds * amount.std:
             return np.empty((0, self._unknowns - 1))
-        chance = 1.0 if doubt.odds is None else shown.chance(1.0, doubt.odds)
-        return math.sqrt(chance) * amount.size * self.shift(self.with_weight(doubt.response_a))[None]
+        chance = 1.0 if doubt.odds is None else amount_of_data.chance(1.0, doubt.odds)
+        size = math.sqrt(chance) * amount.size
+        return size * self.shift(self.with_weight(doubt.response_a))[None]
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""

@@ -59,8 +59,8 @@ LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
 
 SHORTEST = 0.03
-"""Shortest L/R that a step leads to, in sample intervals: no sample tells a shorter one from it, and
-of that a run would take so many steps that it is given up."""
+"""Shortest L/R that a step leads to, in sample intervals: no sample tells a shorter one from it,
+and of that a run would take so many steps that it is given up."""
 
 LOOSE = 0.1
 """Information of a logarithm below which a step that it makes too long is cut for it alone: a
