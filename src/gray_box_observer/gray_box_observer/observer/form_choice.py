@@ -10,21 +10,19 @@ at the samples that follow, so that every door leads to the same choice
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from gray_box_observer.context_nodes import ContextUpdate
 from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
-from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.still_speed import stands_still
-from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
+from gray_box_observer.observer.form_candidates import FormCandidates, is_uneasy
 from gray_box_observer.observer.form_trial import (
-    FEW_CANDIDATES,
     NEWEST,
     FormTrial,
     TrialOutcome,
@@ -33,8 +31,6 @@ from gray_box_observer.observer.form_trial import (
 )
 from gray_box_observer.observer.motor_form import (
     MEASURED,
-    QUADRATIC_FRICTION,
-    RIVALS,
     ROTOR,
     THESIS,
     FormKind,
@@ -57,9 +53,6 @@ from gray_box_observer.safe_io.saved_state import (
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
-    CURRENT_LAG,
-    DEAD_ZONE,
-    VARYING_LOAD,
 )
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -73,24 +66,9 @@ LONGEST_WAIT = 65536
 LONGEST_REASON = 500
 """Characters of a reason."""
 
-NODES = {
-    'lost_voltage': LOST_VOLTAGE,
-    'dead_zone': DEAD_ZONE,
-    'current_offset': OFFSET,
-    'current_lag': CURRENT_LAG,
-    'delay': CURRENT_LAG,
-    LOAD: LOAD_TORQUE,
-    COASTING: COASTING,
-}
-"""Effect that a form may have for a suspected one, by the name of that. What is late by a part of
-a sample interval is a lag or a delay: a form knows the lag alone."""
-
 LATE_SIGNS = ('', COLOURED_NOISE, *LATE)
 """What the fit test suspects first, or nothing, where the current of a rotor may lag: a filter
 gives noise a memory, too."""
-
-LOADS = (LOAD_TORQUE, QUADRATIC_FRICTION)
-"""What a shaft may carry, the commoner one first."""
 
 NOTHING_ADDED = 'nothing in the data speaks for any'
 """Why no effects are added to a form that explains the data."""
@@ -300,7 +278,7 @@ class FormChoice:
         self._budget.pieces = 0
         form = outcome.form
         is_other_lag = outcome.kind is not None and outcome.kind.is_same_but_for_lag(self.kind)
-        is_needed = fit.verdict is FitVerdict.MISFIT or self._is_uneasy(fit)
+        is_needed = fit.verdict is FitVerdict.MISFIT or is_uneasy(self.kind, fit)
         if form is None or not (is_needed or is_other_lag):
             self._pace.end(place)
             self._reasons.refusal = outcome.reason if self._is_doubted(fit) else ''
@@ -342,12 +320,7 @@ class FormChoice:
         if fit.verdict is FitVerdict.MISFIT:
             return self._change_count >= NEWEST or not self._may_have_changed(fit)
         is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
-        return self._is_uneasy(fit) and (likeliest in (ROTOR, COASTING) or is_late)
-
-    def _is_uneasy(self, fit: FitAssessment) -> bool:
-        """Tell whether a fit warns, or leaves so much beside a hidden speed that nothing counts."""
-        is_hidden = self.kind.source == ROTOR and fit.verdict is FitVerdict.OK
-        return fit.verdict is FitVerdict.WARNING or (is_hidden and leaves_much(fit))
+        return is_uneasy(self.kind, fit) and (likeliest in (ROTOR, COASTING) or is_late)
 
     @property
     def _has_open_lag(self) -> bool:
@@ -357,93 +330,11 @@ class FormChoice:
     def _candidates(
         self, fit: FitAssessment, *, has_no_speed: bool = False
     ) -> tuple[FormKind, ...]:
-        """Return the forms to try, that of the likeliest suspect first.
-
-        Args:
-            fit: what is known of that of the form in force.
-            has_no_speed: whether the measured speed stands still, so that it may be none.
-        """
-        kinds: list[FormKind] = []
-        lag = self.kind.lag
-        if lag is not None and not self._is_doubted(fit):  # its order alone is asked for
-            return (replace(self.kind, lag=lag._replace(other_order=())),)
-        if lag is not None:  # it may be another one than was found
-            kinds.append(replace(self.kind, lag=None))
-        plain = self.kind.with_other_source
-        if self.kind.source == MEASURED and not has_no_speed:
-            plain = None
-        elif self.kind.source == MEASURED and plain is not None:
-            kinds += self._with_rotor(plain, fit)
-        suspects = fit.suspects
-        if self.kind.source == ROTOR:  # the likeliest; coasting takes the place of none
-            likeliest = [one for one in suspects if one.effect != COASTING][:1]
-            suspects = tuple(one for one in suspects if one.effect == COASTING or one in likeliest)
-        is_vague = not suspects or suspects[0].effect == COLOURED_NOISE
-        if self.kind.source == ROTOR and self._is_uneasy(fit) and is_vague:
-            kinds.append(self.kind.with_effect(CURRENT_LAG))  # what is left over tells nothing
-        for suspect in suspects:  # fits of a rotor cost most
-            node = NODES.get(suspect.effect)
-            if node is not None and node not in self.kind.effects:
-                instead = self.kind.without(*TWINS.get(node, ())).with_effect(node)
-                kinds += [instead, *instead.rivals, self.kind.with_effect(node)]
-            elif suspect.effect == ROTOR and plain is not None:
-                kinds += self._with_rotor(plain, fit)
-        if self.kind.source == ROTOR:
-            kinds += self.kind.rivals
-        different = [*dict.fromkeys(kind for kind in kinds if self.may_take(kind))]
-        others = []
-        if plain is not None and plain not in different and self.may_take(plain):
-            others.append(plain)
-        room = FEW_CANDIDATES - len(different) - len(others)
-        usual_kinds = (*different, *self._with_loads(different, room), *others)[:FEW_CANDIDATES]
-        last = [kind for kind in self._with_varying_load(plain) if self.may_take(kind)]
-        return (*usual_kinds, *last)
-
-    def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
-        """Return a rotor with a load that varies: it explains most, and is asked last.
-
-        Args:
-            plain: the form with the other source of the speed.
-        """
-        if self.kind.source == ROTOR:
-            kind = self.kind.without(LOAD_TORQUE)
-            return [] if VARYING_LOAD in kind.effects else [kind.with_effect(VARYING_LOAD)]
-        if plain is None or plain.source != ROTOR or not self._pace.trials:
-            return []
-        return [plain.with_effect(VARYING_LOAD)]
-
-    def _with_loads(self, before: Sequence[FormKind], room: int) -> list[FormKind]:
-        """Return a rotor with what it may carry; where there is room for one alone, in turn.
-
-        Args:
-            before: forms that are tried anyway.
-            room: for how many there is room beside.
-        """
-        if self.kind.source != ROTOR:
-            return []
-        kinds = [self.kind.with_effect(node) for node in LOADS if node not in self.kind.effects]
-        kinds = [kind for kind in kinds if kind not in before and self.may_take(kind)]
-        if len(kinds) <= room:
-            return kinds
-        turn = max(self._pace.trials - 1, 0) % len(kinds)
-        return [*kinds[turn:], *kinds[:turn]][: max(room, 0)]
-
-    def _with_rotor(self, plain: FormKind, fit: FitAssessment) -> list[FormKind]:
-        """Return a rotor, and one with an effect where that alone has failed before.
-
-        What a speed of Kt i suspects beside a rotor tells little of the rotor: it says which of
-        these is tried first. They take turns, for a fit of a rotor costs most.
-        """
-        if plain.source == ROTOR and fit.suspects and fit.suspects[0].effect == COASTING:
-            return [plain.with_effect(COASTING), plain]
-        if plain.source != ROTOR or not self._pace.trials:
-            return [plain]
-        suspects = [suspect.effect for suspect in fit.suspects if suspect.effect != ROTOR]
-        loss = NODES.get(suspects[0], '') if suspects else ''
-        in_turn = ((loss,), LOADS) if loss in RIVALS else (LOADS, (LOST_VOLTAGE,))
-        nodes = in_turn[(self._pace.trials - 1) % len(in_turn)]
-        kinds = [plain.with_effect(node) for node in nodes]
-        return [plain, *kinds, *(rival for kind in kinds for rival in kind.rivals)]
+        """Return the forms to try; see :meth:`FormCandidates.instead`."""
+        assert self._open is not None
+        candidates = FormCandidates(self.kind, self._open, self._pace.trials)
+        is_doubted = self._is_doubted(fit)
+        return candidates.instead(fit, is_doubted=is_doubted, has_no_speed=has_no_speed)
 
     def _begin(
         self,
