@@ -67,6 +67,29 @@ def test_a_start_that_is_far_off_ends_at_the_same_place(factor: float) -> None:
     assert np.abs(near.logarithms - far.logarithms).max() < 0.02
 
 
+def test_a_short_winding_that_a_data_sheet_knows_holds_nothing_else_up() -> None:
+    """No step leads to a shorter one than samples tell, but one that is there may stay."""
+    samples = content_of(recorded()).copy()
+    window = Window.from_samples(BOX, _merged(samples, 20))
+    known = THETA * np.array([0.005, 1.0, 1.0, 1.0, 1.0])
+    precision = np.diag([1e4, 0.04, 0.04, 0.04, 0.04])
+    start = known * np.array([1.0, 1.35, 1.0, 1.0, 1.0])
+    fit = completed(fit_window(BOX, window, LogPrior(np.log(known), precision), [start]))
+    assert fit is not None
+    assert fit.theta[0] == pytest.approx(known[0], rel=0.1)
+    assert fit.theta[1] == pytest.approx(THETA[1], rel=0.1)
+
+
+def _merged(samples: np.ndarray, count: int) -> np.ndarray:
+    """Return every so many-th sample, with the mean voltage of its interval."""
+    last = samples[:, : samples.shape[1] // count * count].reshape(4, -1, count)
+    result = last[:, :, -1].copy()
+    result[0] = last[0].sum(axis=1)
+    result[1] = last[1].mean(axis=1)
+    result[0, 0] = 0.0
+    return result
+
+
 def test_a_data_sheet_decides_what_samples_leave_open() -> None:
     short = content_of(recorded())[:, :60]
     window = Window.from_samples(BOX, short)

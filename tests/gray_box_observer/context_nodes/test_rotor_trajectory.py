@@ -193,7 +193,7 @@ def test_a_rotor_that_friction_holds_is_followed_in_one_step(
 def test_a_motor_without_voltage_comes_to_rest_in_few_steps(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a current of next to nothing a share is less than nothing."""
+    """Its current is so small that a share of it is below rounding."""
     p = coordinates(BOX, np.array([3.5e-4, 16.7, 3.5e-4, 8e-5, 4e-2]))
     start = np.array([1e-8, 0.01])
 
@@ -208,6 +208,30 @@ def test_a_motor_without_voltage_comes_to_rest_in_few_steps(
     finely = follow(4000, 4e-5).states[::100]
     assert np.abs(at_once.states - finely)[:, 0].max() < 1e-8
     assert np.abs(at_once.states - finely)[:, 1].max() < 1e-5
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+@pytest.mark.parametrize('largest_a', [3.0, 30.0, 300.0])
+def test_brushes_are_followed_however_strong_the_friction_is(
+    largest_a: float, compiled: bool
+) -> None:
+    """Near zero current the brushes bend its balance: a straight step would miss them."""
+    brushes = {'back_emf_constant': KB, 'brush_drop': 0.5}
+    box = MotorWhiteBox(NODES, KT, brushes)
+    p = coordinates(box, np.array([4e-3, 1.0, 1e-5, 1e-5, KT * largest_a]))
+    volts = np.tile([2.0, -1.0, 0.4], 4)
+
+    def follow(parts: int) -> Run:
+        lengths = np.full(volts.size * parts, 5e-3 / parts)
+        finer = np.repeat(volts, parts)
+        return run(KT, p, np.zeros(2), finer, lengths, LIMITS, is_compiled=compiled)
+
+    at_once = follow(1)
+    finely = follow(100)
+    assert finely.is_bounded
+    if at_once.is_bounded:
+        off_a = np.abs(at_once.states - finely.states[::100])[:, 0]
+        assert off_a.max() < 5e-4
 
 
 @pytest.mark.parametrize('compiled', [True, False])

@@ -15,6 +15,7 @@ from linear_motor_records import (
     steps,
 )
 
+from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test.free_run import free_run
 from gray_box_observer.fit_test.hidden_rotor import ODDS, hidden_rotor_doubts
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
@@ -52,10 +53,27 @@ def test_where_a_rotor_would_show_and_does_not_nothing_is_left_open(seed: int) -
     assert np.abs(shift).max() < 3e-3
 
 
-def test_a_voltage_that_is_held_leaves_no_doubt() -> None:
+def test_a_motor_that_has_settled_leaves_no_doubt_and_one_that_is_switched_on_does() -> None:
     voltage_v = np.full(SAMPLES, 6.0)
-    record = Record(voltage_v, current_of(voltage_v))
-    assert hidden_rotor_doubts(free_run(WHITE_BOX, TRUTH, record.stretch)) == []
+    current_a = current_of(voltage_v)
+    switched_on = free_run(WHITE_BOX, TRUTH, Record(voltage_v, current_a).stretch)
+    settled = free_run(WHITE_BOX, TRUTH, Record(voltage_v[50:], current_a[50:]).stretch)
+    assert len(hidden_rotor_doubts(switched_on)) == 1
+    assert hidden_rotor_doubts(settled) == []
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_under_a_noisy_voltage_that_is_held_a_rotor_that_runs_up_is_no_resistance(
+    seed: int,
+) -> None:
+    """Its current falls as slowly as that of a large inductance would rise."""
+    rng = np.random.default_rng(seed)
+    voltage_v = np.full(3000, 6.0)
+    current_a = current_of_free_rotor(voltage_v, 0.2) + noise(3000, NOISE_A, seed)
+    measured_v = voltage_v + 0.06 * rng.normal(size=3000)
+    observer = Record(measured_v[800:], current_a[800:]).observed(back_emf_constant=0.02)
+    estimate = observer.estimates()['motor']
+    assert Verdict.IDENTIFIED not in estimate.verdicts[0]
 
 
 def test_the_odds_follow_what_the_data_tell() -> None:

@@ -31,7 +31,8 @@ def test_a_small_resistance_is_found_from_the_default_guess(seed: int) -> None:
     value, std, verdict = told(motor, 'resistance')
     assert motor.fit.verdict is FitVerdict.OK
     assert verdict is Verdict.IDENTIFIED
-    assert abs(value - WHEEL_MOTOR.resistance) < max(3.0 * std, 0.01 * WHEEL_MOTOR.resistance)
+    assert abs(value - WHEEL_MOTOR.resistance) < 4.0 * std
+    assert value == pytest.approx(WHEEL_MOTOR.resistance, rel=0.01)
 
 
 @pytest.mark.slow

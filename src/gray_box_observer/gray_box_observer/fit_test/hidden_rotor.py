@@ -18,15 +18,14 @@ from gray_box_observer.samples.voltage_level import is_held
 LIKELY = 1.0
 """Standard deviation beforehand of the back-EMF, over the voltage, root mean squares."""
 
-
-ODDS = 10.0
-"""That a rotor turns, beforehand: most do."""
+ODDS = 1.0
+"""That a rotor turns, beforehand. With more of them motors without one are identified later."""
 
 
 def hidden_rotor_doubts(run: FreeRun) -> list[Doubt]:
     """Return what a rotor without friction would do that rests where the samples begin.
 
-    Of a voltage that is held nothing is believed anyway.
+    Of a voltage and a current that are held nothing is believed anyway.
 
     Args:
         run: free run of a motor whose speed is taken for Kt i.
@@ -34,7 +33,8 @@ def hidden_rotor_doubts(run: FreeRun) -> list[Doubt]:
     stretch = run.stretch
     charge = np.cumsum(interval_means(stretch.state[0]) * stretch.interval_s[0])
     size = float(np.sqrt(np.mean(charge**2)))
-    if not size > 0.0 or is_held(stretch.voltage_v[0]):
+    is_settled = is_held(stretch.voltage_v[0]) and is_held(stretch.state[0])
+    if not size > 0.0 or is_settled:
         return []
     voltage_v = float(np.sqrt(np.mean(stretch.voltage_v[0] ** 2)))
     back_emf_v = LIKELY * voltage_v / size * charge

@@ -149,7 +149,7 @@ class ResidualAnalysis:
             be off, each by what the residual does not show: rounding, which of two twins it is,
             noise of measured voltage and speed, least squares elsewhere, a friction that is not
             quite that of the white box, a measured speed that is not that of the whole motor, one
-            that comes late, and a lag that is not quite as found.
+            that comes late, a lag that is not quite as found, and a rotor that may turn.
         smoothing_shifts: likewise, where the lag of the winding may be a driver's.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical

@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes import MeasuredSpeedUpdate, speed_readings
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
+from gray_box_observer.context_nodes.recursive.constant_voltage import FROM_REST, RISEN
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
@@ -359,7 +360,7 @@ class WindowTest:
         )
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
-        judgement = self._without_seen_rotor(judgement, theta[0])
+        judgement = self._without_seen_rotor(judgement, theta[0], samples)
         is_stated = self.configuration.values['speed_source'] == 'measured'
         if white_box.speed_measured and not is_stated and stands_still(white_box, theta, content):
             judgement = with_shifts(judgement, np.ones(theta.shape[1]))  # it may be no speed at all
@@ -469,16 +470,22 @@ class WindowTest:
             speed_is_fitted,
         )
 
-    def _without_seen_rotor(self, judgement: Judgement, theta: Array) -> Judgement:
+    def _without_seen_rotor(self, judgement: Judgement, theta: Array, samples: Array) -> Judgement:
         """Leave the resistance open by Kb Kt where a speed of Kt i is nothing but a guess.
 
-        A rotor that is blocked has no back-EMF, and leaves as white a residual.
+        A rotor that is blocked has no back-EMF, and leaves as white a residual. Under a voltage
+        that is held all of R may be back-EMF, and L/R the time in which a rotor comes to its speed,
+        unless the current rises from rest and stays.
         """
         white_box = self.white_box
         nodes = white_box.context_nodes
         if not self._speed_is_guess or 'resistance' not in nodes:
             return judgement
         place = nodes.index('resistance')
+        if is_held(samples[VOLTAGE]) and not _rises_and_stays(samples[TORQUE]):
+            if is_held(samples[TORQUE]):
+                return with_shift(judgement, place, 1.0)
+            return with_shifts(judgement, np.ones(theta.size))
         back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)
         share = back_emf_ohm / float(theta[place])
         return with_shift(judgement, place, share if share > NOTICEABLE else 0.0)
@@ -582,3 +589,10 @@ def _first_of_each(suspects: Sequence[Suspect]) -> tuple[Suspect, ...]:
     for suspect in suspects:
         first.setdefault(suspect.effect, suspect)
     return tuple(first.values())[:MOST_SUSPECTS]
+
+
+def _rises_and_stays(torque_nm: Array) -> bool:
+    """Tell whether a current rises from rest, and no rotor pulls it down again, shape (n,)."""
+    size = np.abs(torque_nm)
+    largest = float(size.max())
+    return bool(size[0] < FROM_REST * largest and size[-1] > RISEN * largest)

@@ -13,7 +13,7 @@ HELD = 0.01
 """Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
 the fit."""
 
-HELD_NOISY = 0.05
+HELD_NOISY = 0.15
 """The same, at most, where the voltage is measured: its own noise is no move."""
 
 NOISE_RANGE = 10.0

@@ -61,7 +61,8 @@ static int held_moved(const double *p, double torque_constant, const double *sta
     to[CURRENT] = from[CURRENT] + step + left * slip;
     to[SPEED] = from[SPEED] + turns * step;
     if (!at_rest(p, torque_constant, to, voltage, length, &last)) return 0;
-    const double gives_way = p[COULOMB_FRICTION] / absolute(first.by_state[SPEED][CURRENT]);
+    const double gives_way = p[BRUSH_DROP] != 0.0 ? 0.0 /* they bend the current's own balance */
+                                 : p[COULOMB_FRICTION] / absolute(first.by_state[SPEED][CURRENT]);
     const double largest =
         larger(gives_way, larger(absolute(from[CURRENT]), absolute(to[CURRENT])));
     const double size = absolute(rate) + absolute(slope) * largest;

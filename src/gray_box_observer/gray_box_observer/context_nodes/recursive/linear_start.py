@@ -17,9 +17,9 @@ RIDGE = 1e-6
 leave open."""
 
 LEAST, MOST = 1e-3, 1e6
-"""Coordinates where the search starts, over those of the guess. Of one that is next to nothing the
-logarithm tells a step nothing; but 1 / L and R / L of a small motor are 10,000 times those of the
-default guess."""
+"""Coordinates where the search starts, over those of the guess. Far below the guess a change of the
+logarithm hardly changes the current, so the search could not leave it. But 1 / L and R / L of a
+small motor are 10,000 times those of the default guess."""
 
 
 def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, window: int) -> Array:

@@ -49,7 +49,8 @@ def held_motion(
         rate_at: rate at given states.
         start: the states.
         length_s: how far.
-        friction_rad_s2: what dry friction takes of the acceleration of a rotor that turns.
+        friction_rad_s2: what dry friction takes of the acceleration of a rotor that turns; 0 beside
+            brushes, which bend the current's own balance.
     """
     begin = _at_rest(rate_at, start, length_s)
     if begin is None:

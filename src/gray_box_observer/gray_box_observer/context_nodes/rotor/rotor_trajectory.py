@@ -35,8 +35,13 @@ from gray_box_observer.white_box.interface import Array
 STATES = len(State)
 
 LOAD = tuple(TERMS).index('load_torque')
+"""Place of the load's acceleration among the coordinates."""
+
 DRY_FRICTION = tuple(TERMS).index('coulomb_friction')
-"""Places of the accelerations of load and dry friction among the coordinates."""
+"""The same of dry friction's."""
+
+BRUSHES = tuple(TERMS).index('brush_drop')
+"""Place of the drop of the brushes among them."""
 
 LARGEST_STEP = 0.5
 """Largest product of step and fastest rate: a Runge-Kutta step is then right to 3e-4 of a decay."""
@@ -356,7 +361,8 @@ class _Motion:
         here = rate_at(start)
         if may_be_held(here, length_s):
             self.steps += HELD_COST
-            motion = held_motion(rate_at, start, length_s, self._coefficients[DRY_FRICTION])
+            dry = 0.0 if self._coefficients[BRUSHES] else self._coefficients[DRY_FRICTION]
+            motion = held_motion(rate_at, start, length_s, dry)
             if motion is not None:
                 return motion
         motion = None if straight is None else straight.moved(rate_at, start, here, level)

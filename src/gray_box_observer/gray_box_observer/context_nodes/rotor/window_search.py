@@ -59,8 +59,9 @@ LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
 
 SHORTEST = 0.03
-"""Shortest L/R that a step leads to, in sample intervals: no sample tells a shorter one from it,
-and of that a run would take so many steps that it is given up."""
+"""Shortest L/R that a step leads to, in sample intervals. A run of a shorter one takes so many
+steps that it is given up. Samples hardly tell one: R moves by so many intervals over the mechanical
+time constant, a percent where that is three of them."""
 
 LOOSE = 0.1
 """Information of a logarithm below which a step that it makes too long is cut for it alone: a
@@ -145,14 +146,18 @@ class Search:
         self.scale_a = np.inf
 
     def _within_bounds(self, logarithms: Array) -> Array:
-        """Return the nearest logarithms that a step may lead to."""
-        within = np.clip(logarithms, self._lower, self._upper)
+        """Return the nearest logarithms that a step may lead to: L/R gets no shorter than SHORTEST.
+
+        Where the search stands below that, as a data sheet may have it, it may stay there.
+        """
+        within = logarithms.copy()
         nodes = self.white_box.context_nodes
         if 'inductance' in nodes:
             resistance = self.white_box.values(np.exp(within))['resistance']
             place = nodes.index('inductance')
-            within[place] = max(within[place], np.log(self._shortest_s * resistance))
-        return within
+            shortest = min(np.log(self._shortest_s * resistance), self.logarithms[place])
+            within[place] = max(within[place], shortest)
+        return np.asarray(np.clip(within, self._lower, self._upper), dtype=float)
 
     def settle(self) -> Pieces[None]:
         """Run where the search begins, and move the first states alone to where they fit best."""
