@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from common.joints.drawn_joints import Conditions, Joint
+from common.limits import limited
 
 SPEED_GAIN = 2.0
 SPEED_GAIN_RATE = 20.0
@@ -34,7 +35,7 @@ class Trapezoid:
         braking = math.sqrt(2.0 * self._acceleration * abs(way_rad))
         goal_rad_s = math.copysign(min(self.top_speed_rad_s, braking), way_rad)
         change = self._acceleration * interval_s
-        self.speed_rad_s += max(-change, min(change, goal_rad_s - self.speed_rad_s))
+        self.speed_rad_s += limited(goal_rad_s - self.speed_rad_s, change)
         self.angle_rad += self.speed_rad_s * interval_s
 
 
@@ -61,8 +62,8 @@ class Controller:
         else:
             self._integrate(SPEED_GAIN_RATE * self._back_emf_constant * speed_error)
             volt = SPEED_GAIN * self._back_emf_constant * speed_error + self._integral_v
-        return max(-self._limit_v, min(self._limit_v, volt))
+        return limited(volt, self._limit_v)
 
     def _integrate(self, rate: float) -> None:
         volt = self._integral_v + rate * self._interval_s
-        self._integral_v = max(-self._limit_v, min(self._limit_v, volt))
+        self._integral_v = limited(volt, self._limit_v)

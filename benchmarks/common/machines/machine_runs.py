@@ -9,6 +9,7 @@ import numpy as np
 
 from common.claims import noisy_readings
 from common.joints.joint_control import SPEED_GAIN, SPEED_GAIN_RATE
+from common.limits import limited
 from common.machines.drawn_machines import Machine, draw_machine
 from common.machines.machine_plant import MachinePlant
 from common.motion import FloatArray
@@ -125,7 +126,7 @@ class _Driver:
         level_v = SUPPLY_V * self._level
         if self._drive == CRUISE:
             most_v = RAMP_V_S * self._interval_s
-            self._ramp_v += max(-most_v, min(most_v, level_v - self._ramp_v))
+            self._ramp_v += limited(level_v - self._ramp_v, most_v)
             return self._ramp_v
         return level_v
 
@@ -140,14 +141,11 @@ class _Driver:
         top_rad_s = TOP_SPEED * self._machine.no_load_speed_rad_s
         most = self._acceleration * self._interval_s
         way_rad_s = self._level * top_rad_s - self._goal_rad_s
-        self._goal_rad_s += max(-most, min(most, way_rad_s))
+        self._goal_rad_s += limited(way_rad_s, most)
         error_v = self._machine.motor.back_emf_constant * (self._goal_rad_s - speed_rad_s)
-        self._integral_v = _limited(self._integral_v + SPEED_GAIN_RATE * error_v * self._interval_s)
+        step_v = SPEED_GAIN_RATE * error_v * self._interval_s
+        self._integral_v = limited(self._integral_v + step_v, SUPPLY_V)
         slow_rad_s = STANDS * self._machine.no_load_speed_rad_s
         if self._machine.coasts and self._goal_rad_s == 0.0 and abs(speed_rad_s) < slow_rad_s:
             return 0.0
-        return _limited(SPEED_GAIN * error_v + self._integral_v)
-
-
-def _limited(voltage_v: float) -> float:
-    return max(-SUPPLY_V, min(SUPPLY_V, voltage_v))
+        return limited(SPEED_GAIN * error_v + self._integral_v, SUPPLY_V)

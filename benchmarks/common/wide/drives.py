@@ -7,16 +7,15 @@ import math
 import numpy as np
 
 from common.joints.joint_control import SPEED_GAIN, SPEED_GAIN_RATE
+from common.limits import limited
+from common.machines.machine_runs import CRUISE, LONG_S, LONG_STEPS, SPEED_LOOP, STEPS
+from common.rotor.records import LONGEST_S, SHORTEST_S
 from common.trust.motors import log_uniform
 from common.wide.wide_motors import WideMotor
 
-STEPS = 'steps'
-LONG_STEPS = 'long steps'
-CRUISE = 'cruise'
 SINE = 'sine'
 STICK = 'stick'
 PRBS = 'PRBS'
-SPEED_LOOP = 'speed loop'
 POSITION_LOOP = 'position loop'
 DRIVES = (STEPS, LONG_STEPS, CRUISE, SINE, STICK, PRBS, SPEED_LOOP, POSITION_LOOP)
 """Levels for tenths of a second, for seconds, ramps between stop and travel, a sine, levels behind
@@ -24,9 +23,9 @@ a low-pass filter with pauses, two levels in random turns, and goals along trape
 
 LOOPS = (SPEED_LOOP, POSITION_LOOP)
 HOLDS_S = {
-    STEPS: (0.05, 0.5),
-    LONG_STEPS: (2.0, 5.0),
-    CRUISE: (2.0, 5.0),
+    STEPS: (SHORTEST_S, LONGEST_S),
+    LONG_STEPS: LONG_S,
+    CRUISE: LONG_S,
     STICK: (0.3, 2.0),
     PRBS: (0.02, 0.14),
     SPEED_LOOP: (0.1, 1.0),
@@ -105,11 +104,10 @@ class Drive:
         level_v = self._driven.supply_v * self._level
         if self._kind == CRUISE:
             most_v = RAMPS_A_SECOND * self._driven.supply_v * self._interval_s
-            self._command_v += max(-most_v, min(most_v, level_v - self._command_v))
+            self._command_v += limited(level_v - self._command_v, most_v)
         elif self._kind == STICK:
-            self._command_v += (level_v - self._command_v) * -math.expm1(
-                -self._interval_s / STICK_S
-            )
+            share = -math.expm1(-self._interval_s / STICK_S)
+            self._command_v += share * (level_v - self._command_v)
         else:
             self._command_v = level_v
         return self._command_v
@@ -132,15 +130,13 @@ class Drive:
             braking_rad_s = math.sqrt(2.0 * self._acceleration * abs(way_rad))
             goal_rad_s = math.copysign(min(self._top_rad_s, braking_rad_s), way_rad)
         most = self._acceleration * self._interval_s
-        self._goal_rad_s += max(-most, min(most, goal_rad_s - self._goal_rad_s))
+        self._goal_rad_s += limited(goal_rad_s - self._goal_rad_s, most)
         self._goal_rad += self._goal_rad_s * self._interval_s
         error_rad_s = self._goal_rad_s - speed_rad_s
         if self._kind == POSITION_LOOP:
             error_rad_s += POSITION_GAIN * (self._goal_rad - self._angle_rad)
         error_v = self._driven.motor.back_emf_constant * error_rad_s
         rate = SPEED_GAIN_RATE / self._slow
-        self._integral_v = self._limited(self._integral_v + rate * error_v * self._interval_s)
-        return self._limited(SPEED_GAIN * error_v + self._integral_v)
-
-    def _limited(self, voltage_v: float) -> float:
-        return max(-self._driven.supply_v, min(self._driven.supply_v, voltage_v))
+        supply_v = self._driven.supply_v
+        self._integral_v = limited(self._integral_v + rate * error_v * self._interval_s, supply_v)
+        return limited(SPEED_GAIN * error_v + self._integral_v, supply_v)

@@ -51,9 +51,7 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.settings.motor_configuration import (
-    COASTING,
-)
+from gray_box_observer.settings.motor_configuration import COASTING
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

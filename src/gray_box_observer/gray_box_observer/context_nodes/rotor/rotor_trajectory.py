@@ -316,6 +316,7 @@ class _Motion:
         self._p = p
         self._far = far
         self._coefficients = dict(enumerate(p.tolist()))
+        self._holding_rad_s2 = 0.0 if p[BRUSHES] else float(p[DRY_FRICTION])
         self._straight: StraightMotion | None = None
         self._length_s = math.nan  # that straight motions were looked for of
         self.steps = 0
@@ -361,8 +362,7 @@ class _Motion:
         here = rate_at(start)
         if may_be_held(here, length_s):
             self.steps += HELD_COST
-            dry = 0.0 if self._coefficients[BRUSHES] else self._coefficients[DRY_FRICTION]
-            motion = held_motion(rate_at, start, length_s, dry)
+            motion = held_motion(rate_at, start, length_s, self._holding_rad_s2)
             if motion is not None:
                 return motion
         motion = None if straight is None else straight.moved(rate_at, start, here, level)
