@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -87,7 +88,7 @@ def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0)
     return begin_ns
 
 
-def samples_of(record: Recording) -> list[PairedSample]:
+def samples_of(record: Recording, *, has_speed: bool = False) -> list[PairedSample]:
     """Return samples of one motor at 1 kHz, as pairing would make them."""
     return [
         PairedSample.of_one_motor(
@@ -95,6 +96,7 @@ def samples_of(record: Recording) -> list[PairedSample]:
             1e-3 if k else 0.0,
             float(record.voltage_v[0, max(k - 1, 0)]),
             float(record.torque_nm[0, k]),
+            float(record.speed_rad_s[0, k]) if has_speed else math.nan,
         )
         for k, stamp in enumerate(record.stamp_ns.tolist())
     ]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded
+from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, driven, recorded, samples_of
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
@@ -23,7 +23,6 @@ from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
 FORWARD = 'R[8,10]D[0.02,0.2]'
@@ -278,20 +277,6 @@ def made(**values: object) -> MotorObserver:
     return motor_observer(configuration, motors, None, speed_measured=True)
 
 
-def samples_of(record: Recording) -> list[Sample]:
-    """Return samples with their speed as pairing would make them."""
-    return [
-        Sample.of_one_motor(
-            stamp,
-            1e-3 if k else 0.0,
-            float(record.voltage_v[0, max(k - 1, 0)]),
-            float(record.torque_nm[0, k]),
-            float(record.speed_rad_s[0, k]),
-        )
-        for k, stamp in enumerate(record.stamp_ns.tolist())
-    ]
-
-
 @pytest.mark.parametrize(('plant', 'effect'), [(LOSSY, 'brush_drop'), (DEADENED, 'dead_zone')])
 def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
     plant: PlantParameters, effect: str
@@ -299,7 +284,7 @@ def test_a_trial_of_an_effect_goes_on_bit_for_bit_wherever_it_is_restored(
     through = made()
     restored = []
     pieces = set()
-    for sample in samples_of(recorded(plant, LIVELY, 2.5, 2))[:1500]:
+    for sample in samples_of(recorded(plant, LIVELY, 2.5, 2), has_speed=True)[:1500]:
         through.step(sample)
         for other in restored:
             other.step(sample)
@@ -365,7 +350,7 @@ def test_a_restored_motor_goes_on_with_its_dead_zone(tmp_path: Path) -> None:
 
 def test_a_trial_of_a_motor_with_a_dead_zone_is_restored_with_the_same_forms() -> None:
     motor = made()
-    for sample in samples_of(recorded(DEADENED, LIVELY, 2.5, 2))[:1500]:
+    for sample in samples_of(recorded(DEADENED, LIVELY, 2.5, 2), has_speed=True)[:1500]:
         motor.step(sample)
     kind = motor.form_choice.kind
     assert kind.dead_zone_v == pytest.approx(0.8, rel=0.02)
@@ -402,7 +387,7 @@ def test_a_saved_dead_zone_that_is_none_is_refused(
 def tried() -> tuple[dict[str, Any], dict[str, Any]]:
     """What is saved of a motor in the middle of a trial."""
     motor = made()
-    for sample in samples_of(recorded(LOSSY, LIVELY, 5.0, 1)):
+    for sample in samples_of(recorded(LOSSY, LIVELY, 5.0, 1), has_speed=True):
         motor.step(sample)
         plain, arrays = motor.state() if not motor.form_choice.is_idle else ({}, {})
         if 'trial' in plain.get('speed', {}):
