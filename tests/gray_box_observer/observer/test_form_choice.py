@@ -16,6 +16,7 @@ from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.observer.form_choice import FEWEST, TrialPace
 from gray_box_observer.observer.form_trial import CATCH_UP
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
@@ -92,6 +93,26 @@ def test_a_restored_motor_has_the_form_that_it_had(tmp_path: Path) -> None:
     assert motor.speed_reason == before.motors['motor'].speed_reason
     assert np.array_equal(motor.estimate.value, before.motors['motor'].estimate.value)
     assert motor.state()[0]['speed'] == before.motors['motor'].state()[0]['speed']
+
+
+def test_a_motor_that_has_stood_for_long_waits_no_longer_than_a_new_one() -> None:
+    new = TrialPace()
+    stood = TrialPace()
+    for pace, doubt in ((new, 0), (stood, 100_000)):
+        pace.note_doubt(doubt)
+        for count in (300, 1000, 4000):
+            pace.begin(doubt + count)
+            pace.end(doubt + count)
+    assert new.due == 8000
+    assert stood.due == 100_000 + new.due
+
+
+def test_a_doubt_that_may_rest_on_all_samples_began_with_the_first() -> None:
+    pace = TrialPace()
+    pace.note_doubt(2 * FEWEST)
+    pace.begin(4 * FEWEST)
+    pace.end(4 * FEWEST)
+    assert pace.due == 8 * FEWEST
 
 
 def trial_of(motor: MotorObserver) -> dict[str, Any]:

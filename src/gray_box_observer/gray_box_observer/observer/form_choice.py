@@ -56,7 +56,7 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
 FEWEST = 256
-"""Samples of the first trial; the next ones come when the samples have doubled."""
+"""Samples of the first trial; the next ones come when the samples in doubt have doubled."""
 
 LONGEST_WAIT = 65536
 """Samples between two trials at last."""
@@ -80,16 +80,27 @@ class TrialPace:
         due: place of the sample from which it is.
         wait: samples from the end of a trial to the next one.
         trials: how many have begun.
+        doubt: place at which the newest late doubt has begun; 0: there was none.
     """
 
     due: int = FEWEST
     wait: int = FEWEST
     trials: int = 0
+    doubt: int = 0
 
     def begin(self, place: int) -> None:
-        """Note that a trial begins; the next comes when the samples have doubled, or sooner."""
+        """Note that a trial begins; the next comes when the samples in doubt have doubled.
+
+        What came before a late doubt does not count: a motor that has stood for long, or was
+        explained for long, waits no longer than one that is new.
+        """
         self.trials += 1
-        self.wait = min(max(2 * self.wait, place), LONGEST_WAIT)
+        self.wait = min(max(2 * self.wait, place - self.doubt), LONGEST_WAIT)
+
+    def note_doubt(self, place: int) -> None:
+        """Note that a doubt begins; one that may rest on all samples began with the first."""
+        if place > NEWEST:
+            self.doubt = place
 
     def postpone(self, place: int) -> None:
         """Note that nothing could be tried."""
@@ -149,6 +160,7 @@ class FormChoice:
         self._newest_v = self._largest_v = 0.0  # voltages; the largest of two samples in a row
         self._place = 0  # of the newest sample
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
+        self._was_doubted = False  # at the sample before
 
     @property
     def reason(self) -> str:
@@ -225,6 +237,9 @@ class FormChoice:
         elif fit.verdict is FitVerdict.OK:
             self._change_count = max(self._change_count - new_count, 0)
         is_doubted = self._is_doubted(fit)
+        if is_doubted and not self._was_doubted:
+            self._pace.note_doubt(place)
+        self._was_doubted = is_doubted
         self._budget.grant(float(sample.interval_s[0]), max(new_count, 1))
         is_open = is_doubted or self._has_open_lag
         self.is_idle = not (is_open or may_have_changed) and self._trial is None
@@ -405,6 +420,8 @@ class FormChoice:
             'due': self._pace.due - place,
             'wait': self._pace.wait,
             'trials': self._pace.trials,
+            'doubt': self._pace.doubt - place,
+            'was_doubted': self._was_doubted,
             'credit': self._budget.credit,
             'seen': self._place - place,
             'is_idle': self.is_idle,
@@ -455,7 +472,9 @@ class FormChoice:
         self._budget = WorkBudget.restored(plain)
         self._trial = None
         self._reasons = Reasons(source=reasons[0], refusal=reasons[1], effects=reasons[2])
-        self._pace = TrialPace(place + due, wait, trials)
+        doubt = whole(plain, 'doubt', -MOST, MOST) if 'doubt' in plain else -place
+        self._pace = TrialPace(place + due, wait, trials, place + doubt)
+        self._was_doubted = 'was_doubted' in plain and flag(plain, 'was_doubted')
         self._place = place
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)
