@@ -245,7 +245,7 @@ def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
 @pytest.mark.slow
 def test_what_a_test_has_found_goes_out_with_the_next_estimate() -> None:
     """Who publishes sends no estimate again: what a test has found is in the next one."""
-    observer = _healthy().observed(stamps_exact=True)
+    observer = _healthy().observed(stamps_exact=True, speed_source='torque_constant')
     group = observer.group_of('motor')
     assert group.observer is not None
     group.observer.retested()

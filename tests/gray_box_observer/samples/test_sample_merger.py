@@ -88,3 +88,15 @@ def test_a_state_that_could_not_have_been_is_refused(name: str, value: Any) -> N
     kept(merger, samples_of(np.full(900, 6.0)))
     with pytest.raises(CheckpointError):
         SampleMerger.restored({**merger.state(), name: value})
+
+
+@pytest.mark.parametrize('share', [0.004, 0.01])
+def test_the_noise_of_a_measured_voltage_is_no_move(share: float) -> None:
+    rng = np.random.default_rng(3)
+    level = np.repeat([9.0, -4.0, 6.0, 8.0], 5000)
+    samples = samples_of(level + 9.0 * share * rng.normal(size=level.size))
+    passed = kept(SampleMerger(), samples)
+    assert len(passed) < 5 * (ALL_KEPT + np.log(5000 / ALL_KEPT) * HELD_A_SPAN)
+    stamps = {one.stamp_ns for one in passed}
+    for move in (5000, 10_000, 15_000):  # behind each all are kept for a while
+        assert set(range(move + 2, move + ALL_KEPT)) <= stamps

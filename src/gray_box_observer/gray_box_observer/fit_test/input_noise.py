@@ -31,11 +31,15 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.context_nodes.rotor.voltage_noise import (
+    NO_NOISE,
+    SURE,
+    unanswered_variance,
+)
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -44,18 +48,8 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_before'
 """Names of the two variances of a voltage's noise, see :func:`voltage_variances`."""
 
-STEP = 5.0
-"""Standard deviations of a signal's second differences beyond which they are steps, no noise."""
-
-SURE = 3.0
-"""Standard errors of what the current tells of a noise. What a driver really applies the current
-answers, and what a shaft really does."""
-
 LEAST_RAD_S = 1e-9
 """Noise of a speed that is none: what rounding leaves."""
-
-FEWEST = 64
-"""Samples from which that is asked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +150,8 @@ def input_noise_scores(
     if white_box.has_rotor and not isinstance(run, RotorFreeRun):
         return scores
     voltage_v2 = _voltage_variance(run, variances)
+    if isinstance(run, RotorFreeRun) and run.noise is not NO_NOISE:
+        voltage_v2 = variances[BY_NEIGHBOURS].std  # its mean is taken off by the fit
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
     if not max(voltage_v2, std_rad_s) > 0.0:
         return scores
@@ -251,23 +247,6 @@ def _share_of_noise(run: FreeRun, start: _Push, end: _Push, std_rad_s: float) ->
 def _noise_variance(
     difference: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
 ) -> Amount:
-    """Return the variance of a signal's noise by its products with the residual.
-
-    Args:
-        difference: shape (n,): of readings from those beside them.
-        answer_a: shape (n,): what the residual does.
-        gain: shape (n,): what it does less by a noise of one unit.
-        is_sound: shape (n,): which readings count.
-    """
-    most = STEP * MAD_TO_STD * float(median(np.abs(difference)))
-    is_noise = is_sound & (np.abs(difference) <= most)
-    power = float(gain[is_noise] @ gain[is_noise])
-    if not (most > 0.0 and np.count_nonzero(is_noise) >= FEWEST and power > 0.0):
-        return UNKNOWN
-    most_a = STEP * MAD_TO_STD * float(median(np.abs(answer_a[is_noise])))
-    products = -np.clip(answer_a, -most_a, most_a) * difference * gain
-    total = float(products[is_noise].sum())
-    scatter = np.where(is_noise, products - total / np.count_nonzero(is_noise), 0.0)
-    # products that share a reading depend on each other
-    own, *neighbours = (float(scatter[lag:] @ scatter[: scatter.size - lag]) for lag in range(3))
-    return Amount(total / power, math.sqrt(own + max(0.0, 2.0 * sum(neighbours))) / power)
+    """Return the variance of a signal's noise; see :func:`unanswered_variance`."""
+    outcome = unanswered_variance(difference, answer_a, gain, is_sound)
+    return UNKNOWN if outcome is None else Amount(*outcome)

@@ -106,6 +106,19 @@ class Projection:
         part: Array = (signals @ self._q) @ self._q.T
         return np.subtract(signals, part, out=part)
 
+    def explained(self, signals: Array, scores: Array) -> Array:
+        """Return the mean products of signals with what the columns take over of a biased residual.
+
+        Args:
+            signals: shape (..., sample), with weight.
+            scores: shape (unknown,): mean products of the weighted residual with the columns of
+                first state and coordinates.
+        """
+        every = np.zeros(self._scale.size)
+        every[: self._unknowns] = scores
+        of_columns = _solved(self._r.T, every / self._scale)
+        return np.asarray((signals @ self._q) @ of_columns)
+
     def correlations_of_white(self, lags: int) -> Array:
         """Return the correlations of white noise of which the columns were taken off, (lag,).
 
@@ -156,6 +169,7 @@ class Projection:
         *,
         is_white: bool,
         instrument_a: Array | None = None,
+        bias: float = 0.0,
     ) -> Amount:
         """Return how much of a response the residual shows beyond what the parameters take over.
 
@@ -165,6 +179,7 @@ class Projection:
             is_white: whether it is white.
             instrument_a: shape (sample,): what to look for it with, where the response itself
                 depends on the noise; None: that is not so.
+            bias: mean product of that with the residual, where there is nothing to be told.
         """
         response = self.with_weight(response_a)
         own = self.without(response)
@@ -172,7 +187,7 @@ class Projection:
         power, tool_power = float(tool @ own), float(tool @ tool)
         if not power > math.sqrt(DISTINCT * tool_power * float(response @ response)):
             return UNKNOWN
-        mean = float(tool @ self.remainder) / power
+        mean = (float(tool @ self.remainder) - bias) / power
         sum_std = noise_a * math.sqrt(tool_power)
         if not is_white:
             sum_variance = long_run_covariance((tool * (self.remainder - mean * own))[:, None])

@@ -8,6 +8,7 @@ holds for correlated residuals too (Newey and West 1987).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,16 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.current_lag import lag_doubts, shifts_behind_lag
-from gray_box_observer.fit_test.effects import LATE, Effect, Scene, interval_means, possible_effects
+from gray_box_observer.fit_test.effects import (
+    LATE,
+    Effect,
+    Scene,
+    Shapes,
+    interval_means,
+    possible_effects,
+)
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
@@ -43,7 +52,7 @@ from gray_box_observer.fit_test.projection import (
     Projection,
     long_run_covariance,
 )
-from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run_in_pieces
 from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
@@ -55,6 +64,7 @@ from gray_box_observer.fit_test.stamp_errors import (
     stamp_responses,
 )
 from gray_box_observer.fit_test.twin_effects import swap_shifts
+from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.flow import to_parameters
@@ -259,7 +269,10 @@ def analysis_in_pieces(
     yield work
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
-    floor_a = max(difference_noise(run.residual_a), least_a)
+    innovation_a = run.residual_a
+    if isinstance(run, RotorFreeRun):
+        innovation_a = run.whitened(innovation_a)
+    floor_a = max(difference_noise(innovation_a), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
     base = np.column_stack([run.jacobian, *run.further])
@@ -274,17 +287,25 @@ def analysis_in_pieces(
     size_a = math.sqrt(float(residual @ residual) / freedom)
     of_white = projection.correlations_of_white(LAGS) if has_load else 0.0
     whiteness = ljung_box(residual, of_white=of_white) if size_a > least_a else 1.0
+    is_white = whiteness <= COLOURED
+    innovation_size_a = size_a
+    bias = None
+    theta = to_parameters(p)[0]
+    if isinstance(run, RotorFreeRun) and run.noise is not NO_NOISE:
+        innovation = run.whitened(residual)
+        innovation_size_a = math.sqrt(float(innovation @ innovation) / freedom)
+        whiteness = ljung_box(innovation, of_white=of_white) if size_a > least_a else 1.0
+        assert isinstance(white_box, MotorWhiteBox)
+        bias = VoltageNoiseBias.of_run(white_box, theta, run, projection)
     late_remainder = None
     if white_box.has_rotor and whiteness > COLOURED_ROTOR:
         late_remainder = projection.without(projection.with_weight(run.residual_a))
-    is_white = whiteness <= COLOURED
     noise_a = max(size_a, floor_a)
     robust_std = np.full(p.shape[1], np.nan) if is_white else projection.robust_std()
-    theta = to_parameters(p)[0]
     yield work
     responses_a = stamp_responses(run)
     window = {
-        **stamp_amounts(run, projection, responses_a, noise_a, is_white=is_white),
+        **stamp_amounts(run, projection, responses_a, noise_a, bias, is_white=is_white),
         **voltage_variances(run),
     }
     if measured_rad_s is None:
@@ -335,13 +356,13 @@ def analysis_in_pieces(
     ]
     yield work
     scores = yield from _scores(
-        run, projection, scene_of(white_box, run), least_a, late_remainder, rounding_a
+        white_box, run, projection, least_a, late_remainder, rounding_a, bias
     )
     yield 0
     return ResidualAnalysis(
         samples=residual.size,
         floor_a=floor_a,
-        ratio=size_a / floor_a,
+        ratio=innovation_size_a / floor_a,
         whiteness=whiteness,
         scores=scores,
         robust_std=robust_std,
@@ -433,36 +454,30 @@ def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
 
 
 def _scores(
+    white_box: WhiteBox,
     run: FreeRun,
     projection: Projection,
-    scene: Scene,
     least_a: float,
     late_remainder: Array | None,
     rounding_a: Array,
+    bias: VoltageNoiseBias | None,
 ) -> Pieces[tuple[EffectScore, ...]]:
     """Test every effect but those that white residuals rule out at ``least_a`` or more.
 
     Args:
+        white_box: of the motor.
         run: the free run.
         projection: of its residual on the parameters.
-        scene: what the effects are made of.
         least_a: noise in A that is there at least.
         late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
             on which delays and lags are tested too, in all their shapes; None: they are not.
         rounding_a: shape (place, sample): what rounding does, with weight.
+        bias: what noise of the voltage does to products with the residual; None: there is none.
     """
-    fine = replace(scene, fine=True)
-    candidates = [
-        (effect, shapes)
-        for effect, alternatives in possible_effects(scene)
-        for shapes in (
-            alternatives
-            if late_remainder is None or effect.name not in LATE
-            else effect.alternatives(fine)
-        )
-    ]
+    asks_late = late_remainder is not None
+    candidates = _candidates(scene_of(white_box, run), asks_late=asks_late)
     yield 0
-    voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
+    voltages = _voltages_of(candidates)
     work = voltages.shape[-1]
     yield work
     parts = []
@@ -473,10 +488,19 @@ def _scores(
     yield work
     distinct = projection.without(response)
     yield 0
+    biases = np.zeros(len(voltages))
+    bias_variances = biases
+    if bias is not None:
+        biases, bias_variances = bias.of_responses(
+            lambda noisy_run: noisy_run.response(
+                _voltages_of(_candidates(scene_of(white_box, noisy_run), asks_late=asks_late))
+            )
+        )
+        yield len(bias.noises_v) * work
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
     remainders = [projection.remainder] + ([] if late_remainder is None else [late_remainder])
-    residual_parts = [(part, distinct @ part, float(part @ part)) for part in remainders]
+    residual_parts = [(part, distinct @ part - biases, float(part @ part)) for part in remainders]
     best: dict[str, EffectScore] = {}
     first = 0
     for number, (effect, shapes) in enumerate(candidates):
@@ -501,6 +525,7 @@ def _scores(
                 continue
             of_rounding = distinct[columns] @ rounding_a.T
             least = 0.5 * noise * own_gram + of_rounding @ of_rounding.T
+            least += np.diag(bias_variances[columns])
             yield work
             score = _score(distinct[columns], remainder, amount, own_products, least)
             if effect.name not in best or score > best[effect.name].score:
@@ -509,6 +534,28 @@ def _scores(
                 amounts[is_own] = amount
                 best[effect.name] = EffectScore(effect, score, shift, amounts)
     return tuple(sorted(best.values(), key=lambda entry: -entry.score))
+
+
+def _candidates(scene: Scene, *, asks_late: bool) -> list[tuple[Effect, Shapes]]:
+    """Return all effects with every shape that they may have.
+
+    Args:
+        scene: what they are made of.
+        asks_late: whether delays and lags are asked for in all their shapes.
+    """
+    fine = replace(scene, fine=True)
+    return [
+        (effect, shapes)
+        for effect, alternatives in possible_effects(scene)
+        for shapes in (
+            effect.alternatives(fine) if asks_late and effect.name in LATE else alternatives
+        )
+    ]
+
+
+def _voltages_of(candidates: Sequence[tuple[Effect, Shapes]]) -> Array:
+    """Return the voltages of all shapes, shape (shape, k)."""
+    return np.stack([shape for _, shapes in candidates for shape in shapes])
 
 
 def _least_squares(matrix: Array, right: Array) -> Array:

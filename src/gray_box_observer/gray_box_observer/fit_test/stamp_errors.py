@@ -11,6 +11,7 @@ from gray_box_observer.context_nodes.measured_speed.late_instant import LateInst
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
+from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
 from gray_box_observer.white_box.interface import Array
 
 DELAY = 'delay'
@@ -94,6 +95,7 @@ def stamp_amounts(
     projection: Projection,
     responses_a: Mapping[str, Array],
     noise_a: float,
+    bias: VoltageNoiseBias | None = None,
     *,
     is_white: bool,
 ) -> dict[str, Amount]:
@@ -104,14 +106,24 @@ def stamp_amounts(
         projection: of its residual on the parameters.
         responses_a: what :func:`stamp_responses` gives.
         noise_a: standard deviation of the residual in A.
+        bias: what noise of the voltage does to products with the residual; None: there is none.
         is_white: whether it is white.
     """
-    instruments_a = {LEAD: _instrument(run, responses_a[LEAD])}
+    tools_a = _tools(run, responses_a)
+    biases = np.zeros(len(tools_a))
+    if bias is not None:
+        biases, _ = bias.of_responses(
+            lambda noisy_run: np.stack([*_tools(noisy_run, stamp_responses(noisy_run)).values()])
+        )
     return {
         name: projection.amount(
-            response_a, noise_a, is_white=is_white, instrument_a=instruments_a.get(name)
+            responses_a[name],
+            noise_a,
+            is_white=is_white,
+            instrument_a=tool_a,
+            bias=float(of_noise),
         )
-        for name, response_a in responses_a.items()
+        for (name, tool_a), of_noise in zip(tools_a.items(), biases, strict=True)
     }
 
 
@@ -149,13 +161,14 @@ def beside_measured_speed(errors: StampErrors, late_instant: LateInstant | None)
     return replace(errors, instant=StampError(shift, amount))
 
 
-def _instrument(run: FreeRun, earlier_a: Array) -> Array | None:
-    """Return what to look for a lead with, shape (k + 1,); None: its response itself.
+def _tools(run: FreeRun, responses_a: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what to look for every error with, shape (k + 1,): mostly its response itself.
 
     A controller answers the noise of a reading by its next voltage, and so seems to know it
     beforehand. A voltage that hardly ever moves answers none.
     """
+    tools_a = dict(responses_a)
     voltage_v = run.stretch.voltage_v[0]
-    if np.count_nonzero(np.diff(voltage_v)) < RARE * voltage_v.size:
-        return None
-    return np.concatenate([[0.0], run.decay * earlier_a[:-1]])
+    if np.count_nonzero(np.diff(voltage_v)) >= RARE * voltage_v.size:
+        tools_a[LEAD] = np.concatenate([[0.0], run.decay * responses_a[LEAD][:-1]])
+    return tools_a

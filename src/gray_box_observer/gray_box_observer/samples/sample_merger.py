@@ -2,11 +2,13 @@
 
 After a move every sample is kept for a while, and then ever fewer. Those between are merged: the
 interval is that of all of them, the voltage their mean, the torque that of the last one. So the
-samples that a rotor is told by reach over several moves, however fast they come.
+samples that a rotor is told by reach over several moves, however fast they come. The noise of a
+measured voltage is no move.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -27,6 +29,25 @@ ALL_KEPT = 512
 
 HELD_A_SPAN = 32
 """Samples for which a voltage has been held, over those that are merged to one."""
+
+NOISE_STDS = 4.5
+"""Standard deviations of a voltage's noise up to which it has not moved."""
+
+MOST_NOISE = 0.015
+"""Standard deviation of a voltage's noise, as a share of the largest voltage, at most: what varies
+by more from sample to sample is no noise."""
+
+STEP = 3.0
+"""Times the most noise, beyond which a difference is a step, and counts for no more."""
+
+NOISE_SAMPLES = 128
+"""Samples over which the noise is averaged."""
+
+LEVEL_SAMPLES = 256
+"""Samples over which a noisy level is averaged, at most."""
+
+DIFFERENCE_TO_STD = 0.5 * math.sqrt(math.pi)
+"""Standard deviation of white noise, over the mean size of the difference of two samples."""
 
 
 class _Span(NamedTuple):
@@ -64,6 +85,8 @@ class SampleMerger:
     def __init__(self) -> None:
         self._largest_v = 0.0  # that was held: one wrong reading is none
         self._level_v = 0.0  # of the voltage that is held
+        self._newest_v = 0.0
+        self._noise_v = 0.0  # standard deviation of the voltage's noise
         self._held_count = 0  # samples since it has moved
         self._span = _NONE
 
@@ -75,7 +98,13 @@ class SampleMerger:
         interval_s = float(sample.interval_s[0])
         voltage_v = float(sample.voltage_v[0])
         largest_v = max(self._largest_v, abs(self._level_v))
-        is_near = abs(voltage_v - self._level_v) <= HELD * largest_v
+        most_v = MOST_NOISE * largest_v
+        is_noisy = HELD * largest_v < NOISE_STDS * self._noise_v <= NOISE_STDS * most_v
+        range_v = NOISE_STDS * self._noise_v if is_noisy else HELD * largest_v
+        is_near = abs(voltage_v - self._level_v) <= range_v
+        difference_v = min(abs(voltage_v - self._newest_v), STEP * most_v)
+        self._noise_v += (DIFFERENCE_TO_STD * difference_v - self._noise_v) / NOISE_SAMPLES
+        self._newest_v = voltage_v
         if not (is_near and interval_s > 0.0):
             rest = self._span.merged if interval_s > 0.0 else ()
             self._span = _NONE
@@ -84,6 +113,9 @@ class SampleMerger:
             return (*rest, sample)
         self._largest_v = largest_v
         self._held_count += 1
+        if is_noisy:
+            count = min(self._held_count + 1, LEVEL_SAMPLES)
+            self._level_v += (voltage_v - self._level_v) / count
         if self._held_count <= ALL_KEPT:
             return (sample,)
         self._span = _Span(
@@ -109,6 +141,8 @@ class SampleMerger:
         return {
             'largest_v': self._largest_v,
             'level_v': self._level_v,
+            'newest_v': self._newest_v,
+            'noise_v': self._noise_v,
             'held_count': self._held_count,
             'span': self._span._asdict(),
         }
@@ -123,6 +157,9 @@ class SampleMerger:
         merger = cls()
         merger._largest_v = number(plain, 'largest_v', 0.0, LARGEST_SIGNAL)
         merger._level_v = number(plain, 'level_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+        if 'noise_v' in plain:  # not in files of early releases
+            merger._newest_v = number(plain, 'newest_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+            merger._noise_v = number(plain, 'noise_v', 0.0, LARGEST_SIGNAL)
         merger._held_count = whole(plain, 'held_count')
         span = group(plain, 'span')
         count = whole(span, 'sample_count')

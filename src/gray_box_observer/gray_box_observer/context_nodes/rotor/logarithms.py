@@ -48,6 +48,7 @@ class Fit:
         chi_square: of the samples and the prior together.
         starts: shape (history, unknown): first states, and what else is free in a history.
         runs: the free runs there.
+        voltage_noise_a: standard deviation of what noise of the voltage adds to the residual.
     """
 
     logarithms: Array
@@ -58,6 +59,7 @@ class Fit:
     chi_square: float
     starts: Array
     runs: FreeRuns
+    voltage_noise_a: float = 0.0
 
     @property
     def theta(self) -> Array:

@@ -6,12 +6,14 @@ before a kink, or at an optimum beside which others are as likely: these are loo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, completed
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY, Search, SearchEnd
@@ -128,8 +130,15 @@ def is_resolved(white_box: MotorWhiteBox, window: Window, theta: Array) -> bool:
 
 
 def _size(fit: Fit) -> float:
-    """Log-determinant of the noise of all samples: the larger noise is the worse fit."""
-    return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
+    """Log-determinant of the noise of all samples: the larger noise is the worse fit.
+
+    What noise of the voltage adds to it is no fault of a fit.
+    """
+    size_a = fit.noise_a
+    if fit.voltage_noise_a > 0.0:
+        own_a = max(difference_noise(fit.runs.window.current_a), fit.least_noise_a)
+        size_a /= math.hypot(1.0, fit.voltage_noise_a / own_a)
+    return 2.0 * fit.runs.residual_a.size * float(np.log(size_a))
 
 
 def search_from(
@@ -156,6 +165,8 @@ def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Free
     nothing = LogPrior(logarithms, np.zeros((theta.size, theta.size)))
     search = Search(white_box, window, nothing, logarithms)
     completed(search.settle())
+    if search.is_valid:
+        completed(search.settle_starts_of_motor())
     return search.runs
 
 

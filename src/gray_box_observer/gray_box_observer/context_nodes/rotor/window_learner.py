@@ -7,6 +7,7 @@ contradicts what was known, the motor has changed, and that is forgotten.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -240,13 +241,11 @@ class WindowLearner:
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
-        return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
+        return fit.noise_a > math.hypot(POOR * _sharp_noise(fit), fit.voltage_noise_a)
 
     def _is_hopeless(self, fit: Fit) -> bool:
         """Tell whether the newest samples alone are so badly explained that more are no help."""
-        return fit.noise_a > HOPELESS * max(
-            difference_noise(fit.runs.residual_a), fit.least_noise_a
-        )
+        return fit.noise_a > math.hypot(HOPELESS * _sharp_noise(fit), fit.voltage_noise_a)
 
     def _contradicts(self, fit: Fit) -> bool:
         """Tell whether a window says other than what was known before it.
@@ -316,6 +315,11 @@ class WindowLearner:
         check_arrays(arrays, rules)
         check_covariance('covariance', arrays['covariance'])
         check_covariance('memory_precision', arrays['memory_precision'])
+
+
+def _sharp_noise(fit: Fit) -> float:
+    """Return the noise of a fit by second differences."""
+    return max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
 
 
 def _inverse(matrix: Array) -> Array:

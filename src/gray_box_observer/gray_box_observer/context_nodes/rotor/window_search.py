@@ -20,6 +20,11 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
+from gray_box_observer.context_nodes.rotor.voltage_noise import (
+    MOST_SHARE,
+    NO_NOISE,
+    VoltageNoise,
+)
 from gray_box_observer.context_nodes.rotor.window import (
     FreeRuns,
     Window,
@@ -70,6 +75,9 @@ factor of e then moves chi-square by less than that."""
 LEAST_NOISE = 3e-4
 """Smallest noise that is believed, as a share of the current's spread: what softened friction and
 finite steps leave."""
+
+MOST_SETTLED = 4
+"""Steps at most in which first states are moved by themselves where the parameters are believed."""
 
 LEAST_START_GAIN = 1.0
 """Of chi-square, from which first states are moved by themselves before all else is."""
@@ -143,6 +151,7 @@ class Search:
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
         self._runs: FreeRuns | None = None
+        self._noise = NO_NOISE
         self.scale_a = np.inf
 
     def _within_bounds(self, logarithms: Array) -> Array:
@@ -211,6 +220,27 @@ class Search:
             self.starts = starts
             self._runs = runs
 
+    def settle_starts_of_motor(self) -> Pieces[None]:
+        """Move the first states on, where the parameters are believed, as long as that gains.
+
+        Of a motor that forgets them within a few samples these hardly show in the scale.
+        """
+        for _ in range(MOST_SETTLED):
+            scale = self._scale(self._at.residual_a)
+            equations = self._equations(self._weights(scale), scale)
+            starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
+            before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
+            runs = yield from self._run(self.logarithms, starts)
+            if runs is None:
+                return
+            gain = before - self._total(runs.residual_a, scale, self.logarithms, starts)
+            if not gain > 0.0:
+                return
+            self.starts = starts
+            self._runs = runs
+            if gain < LEAST_START_GAIN:
+                return
+
     def _weights(self, scale: float) -> Array:
         return robust_weights(self._at.residual_a, scale, leaves_out=self._leaves_out)
 
@@ -221,15 +251,34 @@ class Search:
         else:
             pull = float(np.einsum('hu,huv,hv->', off, self._start_precision, off))
         cost = robust_cost(residual, scale, leaves_out=self._leaves_out)
-        return cost + self.prior.chi_square(logarithms) + pull
+        return (
+            cost
+            + self.prior.chi_square(logarithms)
+            + pull
+            - self._cost_of_noise(residual, scale, logarithms)
+        )
+
+    def _cost_of_noise(self, residual: Array, scale: float, logarithms: Array) -> float:
+        """Return what noise of the voltage adds to the cost; endless where it is not believed."""
+        if self._noise is NO_NOISE:
+            return 0.0
+        power = self._noise.power_a2(self.white_box, logarithms, self.window)
+        if power > (MOST_SHARE * self.window.spread_a) ** 2:
+            return -np.inf
+        return float(residual[self._currents].size * power / scale**2)
 
     def _equations(self, weights: Array, scale: float) -> Equations:
-        return Equations.from_runs(
+        equations = Equations.from_runs(
             self._at,
             weights / scale**2,
             self._start_precision,
             start_mean(self.window, self.starts) - self.starts,
         )
+        if self._noise is NO_NOISE:
+            return equations
+        products = self._noise.products(self.white_box, self.logarithms, self.window)
+        total = float(weights[self._currents].sum()) / scale**2
+        return equations.compensated(*(total * one for one in products))
 
     def run(self, ends: Sequence[SearchEnd] = ()) -> Pieces[SearchEnd | None]:
         """Step until nothing moves, then leave out what does not fit and step again.
@@ -254,6 +303,7 @@ class Search:
         """Step until nothing moves; tell whether that is where another search has ended."""
         damping = 1e-3
         idle = 0
+        self._noise = VoltageNoise.from_runs(self.white_box, self._at, self.logarithms)
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -351,6 +401,8 @@ class Search:
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
+        if self._noise is not NO_NOISE and np.isfinite(information).all():
+            information = self._information_in_noise(equations, weights, noise)
         if not np.isfinite(information).all():
             return None
         chi_square = self._total(residual, noise, self.logarithms, self.starts)
@@ -364,4 +416,33 @@ class Search:
             chi_square,
             self.starts,
             self._at,
+            float(np.sqrt(self._noise.power_a2(self.white_box, self.logarithms, self.window))),
         )
+
+    def _information_in_noise(self, equations: Equations, weights: Array, noise: float) -> Array:
+        """Return the information where noise of the voltage has a memory in the residual.
+
+        It is ``H M^-1 H``: M is the covariance of the right-hand side, H the equations'.
+        """
+        power = self._noise.power_a2(self.white_box, self.logarithms, self.window)
+        own_a2 = max(noise**2 - power, self._floor_a**2)
+        parameters = equations.right.size
+        covariance = np.zeros((parameters, parameters))
+        begin = 0
+        parts = zip(self.window.histories, self._at.derivatives, equations.gain, strict=True)
+        for history, slopes, gain in parts:
+            readings = slice(begin, begin + slopes.shape[0])
+            begin = readings.stop
+            unknowns = gain.shape[0]
+            own_slopes = slopes[:, unknowns:] - slopes[:, :unknowns] @ gain
+            own_slopes *= weights[readings, None] / noise**2
+            covariance += own_a2 * own_slopes.T @ own_slopes
+            moves = self._noise.moves(
+                self.white_box,
+                self.logarithms,
+                history.interval_s,
+                own_slopes[: history.current_a.size],
+            )
+            covariance += moves.T @ moves
+        matrix = equations.information
+        return np.asarray(matrix @ np.linalg.pinv(covariance, hermitian=True) @ matrix)

@@ -1,0 +1,227 @@
+"""Noise of a measured voltage, which the current of the motor does not answer.
+
+The current of the model answers it. Least squares make this answer small, so they make the
+inductance large, up to a hundred times: the bias of errors in variables. What the noise adds to
+their sums is known, once its variance is: it is taken off again (bias-compensated least squares;
+T. Soderstrom, "Errors-in-variables methods in system identification", Automatica 43 (6), 2007).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses, Winding
+from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+STEP = 5.0
+"""Standard deviations of a signal's second differences beyond which they are steps, no noise."""
+
+SURE = 3.0
+"""Standard errors of what the current tells of a noise. What a driver really applies the current
+answers, and what a shaft really does."""
+
+FEWEST = 64
+"""Samples from which that is asked."""
+
+NUDGE = 1e-3
+"""Change of a logarithm by which derivatives are taken."""
+
+MERGED = 1.5
+"""Usual intervals from which one is that of merged samples."""
+
+RESTS = 1e-3
+"""Share of the range of a speed up to which a rotor rests."""
+
+MOST_SHARE = 0.5
+"""Share of the current's spread that noise of the voltage makes at most, for it to be believed."""
+
+
+def unanswered_variance(
+    difference: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
+) -> tuple[float, float] | None:
+    """Return the variance of a signal's noise by its products with the residual, and its error.
+
+    Args:
+        difference: shape (n,): of readings from those beside them.
+        answer_a: shape (n,): what the residual does.
+        gain: shape (n,): what it does less by a noise of one unit.
+        is_sound: shape (n,): which readings count.
+
+    Returns:
+        The variance and its standard error; None where too few readings tell it.
+    """
+    most = STEP * MAD_TO_STD * float(median(np.abs(difference)))
+    is_noise = is_sound & (np.abs(difference) <= most)
+    power = float(gain[is_noise] @ gain[is_noise])
+    if not (most > 0.0 and np.count_nonzero(is_noise) >= FEWEST and power > 0.0):
+        return None
+    most_a = STEP * MAD_TO_STD * float(median(np.abs(answer_a[is_noise])))
+    products = -np.clip(answer_a, -most_a, most_a) * difference * gain
+    total = float(products[is_noise].sum())
+    scatter = np.where(is_noise, products - total / np.count_nonzero(is_noise), 0.0)
+    # products that share a reading depend on each other
+    own, *neighbours = (float(scatter[lag:] @ scatter[: scatter.size - lag]) for lag in range(3))
+    return total / power, math.sqrt(own + max(0.0, 2.0 * sum(neighbours))) / power
+
+
+@dataclass(frozen=True)
+class VoltageNoise:
+    """White noise of a window's voltages.
+
+    Attributes:
+        variance_v2: of every reading; 0: there is none that shows.
+        held_share: share of the samples at which friction holds the rotor.
+    """
+
+    variance_v2: float = 0.0
+    held_share: float = 0.0
+
+    @classmethod
+    def from_runs(cls, white_box: MotorWhiteBox, runs: FreeRuns, logarithms: Array) -> VoltageNoise:
+        """Find the noise that the current does not answer; see :func:`unanswered_variance`.
+
+        Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one
+        volt brings to the end of its interval. The innovation there has the mean product
+        ``-b s^2`` with ``d``, whatever the values are. Where a controller answers the noise of
+        every reading that is false, and none is found.
+
+        Args:
+            white_box: of one motor with a rotor.
+            runs: the free runs.
+            logarithms: shape (parameter,): of the values at which they are.
+        """
+        if not runs.runs or runs.window.unknowns.current_sensor is not None:
+            return NO_NOISE
+        parts = []
+        for history, path in zip(runs.window.histories, runs.runs, strict=True):
+            winding = Winding.over(white_box, logarithms, history.interval_s)
+            residual_a = history.current_a - path.states[:, State.CURRENT]
+            innovation_a = residual_a[1:] - winding.decay * residual_a[:-1]
+            difference_v = -0.5 * np.diff(history.voltage_v, 2)
+            is_plain = history.interval_s < MERGED * runs.window.interval_s
+            is_sound = is_plain[:-2] & is_plain[1:-1] & is_plain[2:]
+            parts.append((difference_v, innovation_a[1:-1], winding.gain_a_v[1:-1], is_sound))
+        outcome = unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+        if outcome is None or not outcome[0] > SURE * outcome[1]:
+            return NO_NOISE
+        size_rad_s = np.abs(runs.speed_rad_s)
+        held_count = np.count_nonzero(size_rad_s <= RESTS * float(size_rad_s.max()))
+        return cls(outcome[0], held_count / size_rad_s.size)
+
+    def power_a2(self, white_box: MotorWhiteBox, logarithms: Array, window: Window) -> float:
+        """Return the mean square of what the noise adds to a residual.
+
+        Args:
+            white_box: of one motor with a rotor.
+            logarithms: shape (parameter,): its values.
+            window: the samples.
+        """
+        if self.variance_v2 == 0.0:
+            return 0.0
+        return float(self._products(white_box, [logarithms], window)[0, 0])
+
+    def products(
+        self, white_box: MotorWhiteBox, logarithms: Array, window: Window
+    ) -> tuple[Array, Array]:
+        """Return the mean products that the noise makes, of a sample's slopes.
+
+        Args:
+            white_box: of one motor with a rotor.
+            logarithms: shape (parameter,): its values.
+            window: the samples.
+
+        Returns:
+            With what it adds to the residual, shape (parameter,), and among each other, shape
+            (parameter, parameter).
+        """
+        nudges = NUDGE * np.eye(logarithms.size)
+        values = [logarithms, *(logarithms + nudges), *(logarithms - nudges)]
+        products = self._products(white_box, values, window)
+        nothing = np.zeros((logarithms.size, 1))
+        differences = np.hstack([nothing, nudges, -nudges]) / (2.0 * NUDGE**2)
+        return -differences @ products[:, 0], differences @ products @ differences.T
+
+    def stds_v(self, interval_s: Array) -> Array:
+        """Return the standard deviations of the voltages of intervals, shape (k,).
+
+        Args:
+            interval_s: shape (k,): those that are longer than usual are of merged samples, whose
+                voltage is a mean.
+        """
+        usual_s = float(median(interval_s[interval_s > 0.0]))
+        return np.sqrt(self.variance_v2 / np.maximum(interval_s / usual_s, 1.0))
+
+    def moves(
+        self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array, slopes: Array
+    ) -> Array:
+        """Return how far one standard deviation of noise in every interval moves sums of slopes.
+
+        The winding alone is asked: what the rotor does makes it less.
+
+        Args:
+            white_box: of one motor with a rotor.
+            logarithms: shape (parameter,): its values.
+            interval_s: shape (k,): of a history.
+            slopes: shape (k + 1, column): weighted, of the current at its samples.
+
+        Returns:
+            Shape (k, column).
+        """
+        winding = Winding.over(white_box, logarithms, interval_s)
+        inputs = slopes[:0:-1].T[:, None]
+        factor = np.concatenate([winding.decay[1:], [0.0]])[None, ::-1]
+        start = np.zeros((slopes.shape[1], 1))
+        sums = recurrence(factor, inputs, start)[:, 0, :0:-1].T
+        result: Array = (self.stds_v(interval_s) * winding.gain_a_v)[:, None] * sums
+        return result
+
+    def memory(self, decay: float, gain_a_v: float, own_a2: float) -> float:
+        """Return what an innovation leaves in the next one, of a residual that the noise moves.
+
+        It is that of a Kalman filter of the winding alone, in its steady state.
+
+        Args:
+            decay: share of a deviation that an interval leaves.
+            gain_a_v: what a volt over it brings to its end.
+            own_a2: variance of the current's own noise.
+        """
+        added_a2 = gain_a_v * gain_a_v * self.variance_v2
+        half = 0.5 * (added_a2 - (1.0 - decay * decay) * own_a2)
+        predicted_a2 = half + math.sqrt(half * half + added_a2 * own_a2)
+        return decay * own_a2 / (predicted_a2 + own_a2)
+
+    def _products(self, white_box: MotorWhiteBox, values: list[Array], window: Window) -> Array:
+        """Return mean products of what the noise adds at two values each, (value, value), in A2."""
+        interval_s, variances_v2 = self._by_length(window)
+        products = np.zeros((len(values), len(values)))
+        for is_held, share in ((False, 1.0 - self.held_share), (True, self.held_share)):
+            if share > 0.0:
+                responses = VoltageResponses.of_values(
+                    white_box, values, interval_s, is_held=is_held
+                )
+                products += share * responses.products @ variances_v2
+        return products
+
+    def _by_length(self, window: Window) -> tuple[Array, Array]:
+        """Return the lengths of a window's intervals in s, and variances in V2 by their shares.
+
+        Merged samples go into octaves. Their voltage is a mean, whose noise is smaller.
+        """
+        interval_s = np.concatenate([history.interval_s for history in window.histories])
+        octaves = np.round(np.log2(np.maximum(interval_s / window.interval_s, 1.0)))
+        _, places, counts = np.unique(octaves, return_inverse=True, return_counts=True)
+        mean_s = np.bincount(places, interval_s) / counts
+        merged_counts = np.maximum(mean_s / window.interval_s, 1.0)
+        return mean_s, self.variance_v2 * counts / interval_s.size / merged_counts
+
+
+NO_NOISE = VoltageNoise()

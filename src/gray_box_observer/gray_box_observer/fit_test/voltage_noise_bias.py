@@ -1,0 +1,89 @@
+"""What noise of a measured voltage does to the tests of a rotor's residual.
+
+Whatever is made of the readings of a voltage, such as the response to a delay, holds their noise.
+So does the residual, and their products have a mean that is not zero: a delay seems to be there. It
+is found by drawing such noise anew, and laying it over the readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
+from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.projection import Projection
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
+from gray_box_observer.white_box.flow import swapped_logarithms
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+DRAWS = 4
+"""How often noise is drawn: the error of the mean is half of that of a product."""
+
+SEED = 1
+"""Of the draws: every test has the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class VoltageNoiseBias:
+    """Mean products of responses with a residual that hold the same noise of the voltage.
+
+    Attributes:
+        run: free run of a motor with a rotor.
+        projection: of its residual on the parameters.
+        scores: shape (1 + coordinate,): mean products of the residual with the columns of first
+            state and coordinates.
+        noises_v: shape (draw, k): noise of the voltage.
+        remainders_a: shape (draw, k + 1): what the columns leave of what it adds to the residual.
+    """
+
+    run: RotorFreeRun
+    projection: Projection
+    scores: Array
+    noises_v: Array
+    remainders_a: Array
+
+    @classmethod
+    def of_run(
+        cls, white_box: MotorWhiteBox, theta: Array, run: FreeRun, projection: Projection
+    ) -> VoltageNoiseBias | None:
+        """Draw noise as large as that of a free run; None where it has none.
+
+        Args:
+            white_box: of one motor with a rotor.
+            theta: shape (parameter,): its present values.
+            run: its free run at these.
+            projection: of its residual on the parameters.
+        """
+        if not isinstance(run, RotorFreeRun) or run.noise is NO_NOISE:
+            return None
+        of_residual, _ = run.noise.products(white_box, np.log(theta), run.runs.window)
+        scores = np.concatenate([[0.0], swapped_logarithms(of_residual[None])[0]])
+        scores *= run.residual_a.size
+        rng = np.random.default_rng(SEED)
+        is_whole = run.is_whole
+        stds_v = np.where(is_whole, run.noise.stds_v(run.stretch.interval_s[0]), 0.0)
+        noises_v = stds_v * rng.normal(size=(DRAWS, is_whole.size))
+        remainders_a = projection.without(projection.with_weight(-run.response(noises_v)))
+        return cls(run, projection, scores, noises_v, remainders_a)
+
+    def of_responses(self, respond: Callable[[FreeRun], Array]) -> tuple[Array, Array]:
+        """Return mean products with the residual, and the variances of their errors, (response,).
+
+        Args:
+            respond: makes responses of a run, shape (response, k + 1), in A.
+        """
+        responses_a = self.projection.with_weight(respond(self.run))
+        stretch = self.run.stretch
+        products = []
+        for noise_v, remainder_a in zip(self.noises_v, self.remainders_a, strict=True):
+            noisy_stretch = replace(stretch, voltage_v=stretch.voltage_v + noise_v)
+            noisy_run = replace(self.run, stretch=noisy_stretch)
+            moves_a = self.projection.with_weight(respond(noisy_run)) - responses_a
+            products.append(moves_a @ remainder_a)
+        means = np.mean(products, axis=0)
+        variances = np.var(products, axis=0, ddof=1) / DRAWS
+        return means - self.projection.explained(responses_a, self.scores), variances
