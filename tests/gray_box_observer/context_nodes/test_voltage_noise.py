@@ -80,7 +80,7 @@ def test_the_mean_products_are_those_of_many_draws() -> None:
     samples = content_of(recorded(SLOW_STEPS, 2.0, noise=0.0))
     noise = VoltageNoise(NOISE_V**2)
     window = Window.from_samples(BOX, samples)
-    of_residual, of_slopes = noise.products(BOX, LOGARITHMS, window)
+    of_residual, of_slopes = noise.products(BOX, LOGARITHMS, window.intervals_s)
     inductance = slice(0, 1)  # what the noise does through the speed moves the slope by R, too
     before = settled_runs(BOX, THETA, window)
     assert before is not None

@@ -31,6 +31,8 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     restart_variance,
     taken_over,
 )
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
+from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 PASSES = 3
@@ -68,6 +70,8 @@ class FreeRun:
             account.
         weight: shape (k + 1,): what a sample counts; less than one after a restart.
         further: shape (k + 1,) each: derivatives by whatever else is free.
+        noise: of the voltage, which the current does not answer, where the values know of it.
+        noise_power_a2: mean square of what that adds to the residual.
     """
 
     stretch: SampleWindow
@@ -79,6 +83,8 @@ class FreeRun:
     reach_s: Array
     weight: Array
     further: tuple[Array, ...] = ()
+    noise: VoltageNoise = NO_NOISE
+    noise_power_a2: float = 0.0
 
     @property
     def is_whole(self) -> NDArray[np.bool_]:
@@ -89,6 +95,17 @@ class FreeRun:
     def gain(self) -> Array:
         """Current in A that one volt over an interval brings to its end, shape (k,)."""
         return np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
+
+    def innovation_of(self, residual_a: Array) -> Array:
+        """Return what a residual has beyond the memory that noise of the voltage gives it.
+
+        Args:
+            residual_a: shape (k + 1,).
+        """
+        if self.noise is NO_NOISE:
+            return residual_a
+        winding = Winding(self.decay, self.gain)
+        return self.noise.innovation(residual_a, winding, self.is_whole, self.noise_power_a2)
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the run answers small further voltages.

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +32,18 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
+    MERGED,
     NO_NOISE,
     SURE,
+    VoltageNoise,
+    rest_share,
     unanswered_variance,
 )
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -150,7 +154,7 @@ def input_noise_scores(
     if white_box.has_rotor and not isinstance(run, RotorFreeRun):
         return scores
     voltage_v2 = _voltage_variance(run, variances)
-    if isinstance(run, RotorFreeRun) and run.noise is not NO_NOISE:
+    if run.noise is not NO_NOISE:
         voltage_v2 = variances[BY_NEIGHBOURS].std  # its mean is taken off by the fit
     std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
     if not max(voltage_v2, std_rad_s) > 0.0:
@@ -203,7 +207,9 @@ def voltage_variances(run: FreeRun) -> dict[str, Amount]:
     with the voltage less the one before, and these only know earlier readings. That tells little.
     """
     gain = run.reach_s / run.inductance_h
-    whole = run.is_whole
+    interval_s = run.stretch.interval_s[0]
+    usual_s = median(interval_s[interval_s > 0.0]) if (interval_s > 0.0).any() else 0.0
+    whole = run.is_whole & (interval_s < MERGED * usual_s)
     change_v = np.diff(run.stretch.voltage_v[0])
     by_neighbours = _noise_variance(
         -0.5 * np.diff(change_v),
@@ -215,6 +221,27 @@ def voltage_variances(run: FreeRun) -> dict[str, Amount]:
         change_v, run.residual_a[2:], (gain * (1.0 - run.decay))[1:], whole[:-1] & whole[1:]
     )
     return {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
+
+
+def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeRun:
+    """Return a run that knows the noise of its voltage; where it shows none, the run itself.
+
+    Args:
+        white_box: of one motor.
+        theta: shape (parameter,): its values, whose fit knows of such noise.
+        run: the free run at these.
+    """
+    held_share = rest_share(run.speed_rad_s) if isinstance(run, RotorFreeRun) else 1.0
+    if white_box.has_rotor and not isinstance(run, RotorFreeRun):  # it cannot be run
+        return run
+    amount = voltage_variances(run)[BY_NEIGHBOURS]
+    if not amount.mean > SURE * amount.std:
+        return run
+    assert isinstance(white_box, MotorWhiteBox)
+    noise = VoltageNoise(amount.mean, held_share)
+    intervals_s = run.stretch.interval_s[0]
+    power_a2 = noise.power_a2(white_box, np.log(theta), intervals_s)
+    return replace(run, noise=noise, noise_power_a2=power_a2)
 
 
 def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:

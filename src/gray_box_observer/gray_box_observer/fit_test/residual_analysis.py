@@ -38,6 +38,7 @@ from gray_box_observer.fit_test.input_noise import (
     BY_THE_ONE_BEFORE,
     input_noise_scores,
     voltage_variances,
+    with_voltage_noise,
 )
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.least_squares import (
@@ -52,7 +53,7 @@ from gray_box_observer.fit_test.projection import (
     Projection,
     long_run_covariance,
 )
-from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run_in_pieces
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
 from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
@@ -244,6 +245,7 @@ def analysis_in_pieces(
     late_instant: LateInstant | None = None,
     *,
     speed_is_guess: bool = False,
+    knows_voltage_noise: bool = False,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -260,6 +262,8 @@ def analysis_in_pieces(
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
             that acts late; None: nothing.
         speed_is_guess: whether a rotor may turn though the speed is taken for Kt i.
+        knows_voltage_noise: whether the fit has taken off what noise of the voltage does, as it
+            does for a rotor whose speed nobody measures.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -269,10 +273,10 @@ def analysis_in_pieces(
     yield work
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
-    innovation_a = run.residual_a
-    if isinstance(run, RotorFreeRun):
-        innovation_a = run.whitened(innovation_a)
-    floor_a = max(difference_noise(innovation_a), least_a)
+    theta = to_parameters(p)[0]
+    if white_box.has_rotor or knows_voltage_noise:
+        run = with_voltage_noise(white_box, theta, run)
+    floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
     base = np.column_stack([run.jacobian, *run.further])
@@ -290,9 +294,8 @@ def analysis_in_pieces(
     is_white = whiteness <= COLOURED
     innovation_size_a = size_a
     bias = None
-    theta = to_parameters(p)[0]
-    if isinstance(run, RotorFreeRun) and run.noise is not NO_NOISE:
-        innovation = run.whitened(residual)
+    if run.noise is not NO_NOISE:
+        innovation = run.innovation_of(residual)
         innovation_size_a = math.sqrt(float(innovation @ innovation) / freedom)
         whiteness = ljung_box(innovation, of_white=of_white) if size_a > least_a else 1.0
         assert isinstance(white_box, MotorWhiteBox)

@@ -7,19 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, completed
-from gray_box_observer.context_nodes.recursive.trajectory import (
-    LEAST,
-    SampleWindow,
-    input_reach,
-    recurrence,
-)
+from gray_box_observer.context_nodes.recursive.trajectory import LEAST, SampleWindow, input_reach
 from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_runs
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
@@ -32,9 +25,6 @@ SHORTEST = 1e-6
 SEEN = 1e-6
 """Share of a deviation that an interval leaves, of which the integration says how much it is: where
 L/R is far below an interval, it leaves nothing."""
-
-OWN_SHARE = 1e-6
-"""Share of a residual's variance that is the current's own noise, at least."""
 
 HELD = 1e-3
 """Share of its speed that an interval leaves of a shaft that friction holds."""
@@ -49,35 +39,11 @@ class RotorFreeRun(FreeRun):
             at a restart.
         speed_rad_s: shape (k + 1,): of the run.
         runs: the same history by history.
-        noise: of the voltage, that the current does not answer.
-        noise_power_a2: mean square of what that adds to the residual.
     """
 
     transitions: Array = field(kw_only=True)
     speed_rad_s: Array = field(kw_only=True)
     runs: FreeRuns = field(kw_only=True)
-    noise: VoltageNoise = field(default=NO_NOISE, kw_only=True)
-    noise_power_a2: float = field(default=0.0, kw_only=True)
-
-    def whitened(self, residual_a: Array) -> Array:
-        """Return what a residual has beyond the memory that noise of the voltage gives it.
-
-        Args:
-            residual_a: shape (k + 1,).
-        """
-        if self.noise is NO_NOISE:
-            return residual_a
-        is_whole = self.is_whole
-        decay = np.where(is_whole, self.decay, 0.0)
-        size_a2 = (MAD_TO_STD * float(median(np.abs(residual_a)))) ** 2
-        own_a2 = max(size_a2 - self.noise_power_a2, OWN_SHARE * size_a2)
-        memory = self.noise.memory(
-            float(median(self.decay[is_whole])), float(median(self.gain[is_whole])), own_a2
-        )
-        inputs = residual_a[1:] - decay * residual_a[:-1]
-        memories = np.where(is_whole, memory, 0.0)
-        result = recurrence(memories[None], inputs[None, None], residual_a[None, :1])
-        return np.asarray(result[0, 0])
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the current answers small further voltages, the rotor with it.
@@ -176,7 +142,6 @@ def rotor_free_run_in_pieces(
     decay = np.clip(transitions[:, 0, 0], 0.0, 1.0)
     winding_decay = np.exp(-whole.interval_s[0] / runs.winding_s)
     by_start = _by_start(runs)
-    noise = VoltageNoise.from_runs(white_box, runs, np.log(theta))
     return RotorFreeRun(
         whole,
         float(theta[0]),
@@ -190,8 +155,6 @@ def rotor_free_run_in_pieces(
         transitions=transitions,
         speed_rad_s=np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
         runs=runs,
-        noise=noise,
-        noise_power_a2=noise.power_a2(white_box, np.log(theta), runs.window),
     )
 
 

@@ -1,4 +1,4 @@
-"""What noise of a measured voltage does to the tests of a rotor's residual.
+"""What noise of a measured voltage does to the tests of a residual.
 
 Whatever is made of the readings of a voltage, such as the response to a delay, holds their noise.
 So does the residual, and their products have a mean that is not zero: a delay seems to be there. It
@@ -15,7 +15,6 @@ import numpy as np
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Projection
-from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -32,7 +31,7 @@ class VoltageNoiseBias:
     """Mean products of responses with a residual that hold the same noise of the voltage.
 
     Attributes:
-        run: free run of a motor with a rotor.
+        run: free run of one motor.
         projection: of its residual on the parameters.
         scores: shape (1 + coordinate,): mean products of the residual with the columns of first
             state and coordinates.
@@ -40,7 +39,7 @@ class VoltageNoiseBias:
         remainders_a: shape (draw, k + 1): what the columns leave of what it adds to the residual.
     """
 
-    run: RotorFreeRun
+    run: FreeRun
     projection: Projection
     scores: Array
     noises_v: Array
@@ -53,19 +52,20 @@ class VoltageNoiseBias:
         """Draw noise as large as that of a free run; None where it has none.
 
         Args:
-            white_box: of one motor with a rotor.
+            white_box: of one motor.
             theta: shape (parameter,): its present values.
             run: its free run at these.
             projection: of its residual on the parameters.
         """
-        if not isinstance(run, RotorFreeRun) or run.noise is NO_NOISE:
+        if run.noise is NO_NOISE:
             return None
-        of_residual, _ = run.noise.products(white_box, np.log(theta), run.runs.window)
+        interval_s = run.stretch.interval_s[0]
+        of_residual, _ = run.noise.products(white_box, np.log(theta), interval_s)
         scores = np.concatenate([[0.0], swapped_logarithms(of_residual[None])[0]])
         scores *= run.residual_a.size
         rng = np.random.default_rng(SEED)
         is_whole = run.is_whole
-        stds_v = np.where(is_whole, run.noise.stds_v(run.stretch.interval_s[0]), 0.0)
+        stds_v = np.where(is_whole, run.noise.stds_v(interval_s), 0.0)
         noises_v = stds_v * rng.normal(size=(DRAWS, is_whole.size))
         remainders_a = projection.without(projection.with_weight(-run.response(noises_v)))
         return cls(run, projection, scores, noises_v, remainders_a)

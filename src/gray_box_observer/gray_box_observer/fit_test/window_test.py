@@ -123,6 +123,8 @@ class MotorUnderTest:
             samples are free of it: the search for a delay finds that.
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
             that acts late; None: nothing.
+        knows_voltage_noise: beside a measured speed, whether that fit has taken off what noise of
+            the voltage does.
     """
 
     estimate: Estimate
@@ -138,6 +140,7 @@ class MotorUnderTest:
     measured_rad_s: Array | None
     is_lagging: bool
     late_instant: LateInstant | None
+    knows_voltage_noise: bool
 
     @classmethod
     def view(
@@ -187,6 +190,7 @@ class MotorUnderTest:
             readings,
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
+            isinstance(nodes, MeasuredSpeedUpdate) and nodes.knows_voltage_noise,
         )
 
     def snapshot(self) -> MotorUnderTest:
@@ -345,6 +349,7 @@ class WindowTest:
                 motor.newest_measured(count),
                 motor.late_instant,
                 speed_is_guess=self._speed_is_guess,
+                knows_voltage_noise=motor.knows_voltage_noise,
             )
         )
         yield count

@@ -158,6 +158,7 @@ class MeasuredSpeedUpdate:
         self._asked_fit: OutputFit | None = None
         self._late_instant: LateInstant | None = None  # of that fit
         self._current_lag_s = self._smoothing_weight = 0.0  # of the samples that are remembered
+        self._has_noisy_voltage = False  # likewise
 
     @property
     def is_noisy(self) -> bool:
@@ -178,6 +179,11 @@ class MeasuredSpeedUpdate:
     def smoothing_weight(self) -> float:
         """Weight of the newest value in the moving average that the current is; 0: it is none."""
         return self._smoothing_weight if self._is_noisy else 0.0
+
+    @property
+    def knows_voltage_noise(self) -> bool:
+        """Whether what noise of the voltage does was taken off the values."""
+        return self._is_noisy and self._has_noisy_voltage
 
     def late_instant(self) -> LateInstant | None:
         """Return what a voltage late by a part of an interval does to the newest fit, or None.
@@ -417,15 +423,17 @@ class MeasuredSpeedUpdate:
             self.published_mechanics.note_failure()
         is_late = self._comparison.is_late(fit)
         is_lagging = fit.current_lag_s > 0.0
-        if not (self._is_noisy or fit.shows_noise or is_late or is_lagging):
+        has_noisy_voltage = fit.explains and fit.shows_voltage_noise
+        if not (self._is_noisy or fit.shows_noise or is_late or is_lagging or has_noisy_voltage):
             return False
         self._comparison.compare(samples, fit, is_noisy=self._is_noisy)
-        if self._comparison.is_contradicted(samples, fit):
+        if self._comparison.is_contradicted(samples, fit) and not has_noisy_voltage:
             self._is_noisy = False
             return False
         is_likelier = (fit.shows_noise or is_lagging) and self._comparison.is_clear(fit)
-        if not (self._is_noisy or is_late or is_likelier):
+        if not (self._is_noisy or is_late or is_likelier or has_noisy_voltage):
             return False
+        self._has_noisy_voltage = has_noisy_voltage
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         samples = as_of_motor(self._white_box, samples, fit)
@@ -468,6 +476,7 @@ class MeasuredSpeedUpdate:
             'place': int(self._samples.received[0]) - newest_place,
             'current_lag_s': self._current_lag_s,
             'smoothing_weight': self._smoothing_weight,
+            'noisy_voltage': self._has_noisy_voltage,
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
@@ -507,6 +516,7 @@ class MeasuredSpeedUpdate:
         if self._finds_lag and 'current_lag_s' in own:  # not in files of early releases
             self._current_lag_s = number(own, 'current_lag_s', 0.0, LARGEST)
             self._smoothing_weight = number(own, 'smoothing_weight', 0.0, 1.0)
+        self._has_noisy_voltage = 'noisy_voltage' in own and flag(own, 'noisy_voltage')
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES), longest=WINDOW)

@@ -7,6 +7,7 @@ outputs, one that walks at random is tried.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,6 +35,8 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
     walk_of_load,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
+from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
@@ -165,10 +168,18 @@ class OutputFit:
         noise_a = self.noise.speed_rad_s * (0.0 if output is None else output.unit_a_s)
         return self._whiteness(State.SPEED, noise_a) < SPEED_COLOURED
 
+    @property
+    def shows_voltage_noise(self) -> bool:
+        """Whether the voltage has noise that the current does not answer."""
+        return self.fit.voltage_noise is not NO_NOISE
+
     def _whiteness(self, output: State, noise_a: float) -> float:
         """Return the whiteness of an output's residual, its outliers cut."""
         most_a = OUTLIER * noise_a
-        return whiteness(np.clip(self.fit.runs.of_output(output), -most_a, most_a))
+        residual = np.clip(self.fit.runs.of_output(output), -most_a, most_a)
+        if output is State.CURRENT and self.shows_voltage_noise:
+            residual = innovation_of(self.fit, residual)
+        return whiteness(residual)
 
     @property
     def walk(self) -> float:
@@ -248,8 +259,9 @@ class OutputFit:
 
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""
+        most_a = math.hypot(factor * self.floor.current_a, self.fit.voltage_noise_a)
         return (
-            self.noise.current_a <= factor * self.floor.current_a
+            self.noise.current_a <= most_a
             and self.noise.speed_rad_s <= factor * self.floor.speed_rad_s
         )
 
@@ -283,6 +295,28 @@ class OutputFit:
         distinct = by_unknown - others @ np.linalg.lstsq(others, by_unknown, rcond=1e-12)[0]
         size = float(np.linalg.norm(distinct)) + 1e-300
         return float(self.fit.noise_a / size)
+
+
+def innovation_of(fit: Fit, residual_a: Array) -> Array:
+    """Return what the current's residual has beyond the memory that noise of the voltage gives it.
+
+    Args:
+        fit: that knows of such noise.
+        residual_a: shape (sample,).
+    """
+    parts = []
+    begin = 0
+    for history in fit.runs.window.histories:
+        end = begin + history.current_a.size
+        winding = Winding.over(fit.runs.resistance_ohm, fit.runs.winding_s, history.interval_s)
+        is_whole = np.ones(history.interval_s.size, dtype=bool)
+        parts.append(
+            fit.voltage_noise.innovation(
+                residual_a[begin:end], winding, is_whole, fit.voltage_noise_a**2
+            )
+        )
+        begin = end
+    return np.concatenate(parts)
 
 
 def fit_outputs(
@@ -512,5 +546,8 @@ def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> Output
 
 def _floor_of_residual(fit: Fit, floor: OutputNoise) -> OutputNoise:
     """The floor again by the residuals' second differences, free of the signals' own bends."""
-    current = difference_noise(fit.runs.of_output(State.CURRENT))
+    residual_a = fit.runs.of_output(State.CURRENT)
+    if fit.voltage_noise is not NO_NOISE:
+        residual_a = innovation_of(fit, residual_a)
+    current = difference_noise(residual_a)
     return replace(floor, current_a=max(current, fit.least_noise_a))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.white_box.interface import Array
 
@@ -48,7 +49,8 @@ class Fit:
         chi_square: of the samples and the prior together.
         starts: shape (history, unknown): first states, and what else is free in a history.
         runs: the free runs there.
-        voltage_noise_a: standard deviation of what noise of the voltage adds to the residual.
+        voltage_noise: that the current does not answer.
+        voltage_noise_a: standard deviation of what that adds to the residual.
     """
 
     logarithms: Array
@@ -59,6 +61,7 @@ class Fit:
     chi_square: float
     starts: Array
     runs: FreeRuns
+    voltage_noise: VoltageNoise = NO_NOISE
     voltage_noise_a: float = 0.0
 
     @property

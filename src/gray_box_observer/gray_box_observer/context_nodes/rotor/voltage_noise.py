@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses, Winding
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -37,6 +37,9 @@ NUDGE = 1e-3
 
 MERGED = 1.5
 """Usual intervals from which one is that of merged samples."""
+
+OWN_SHARE = 1e-6
+"""Share of a residual's variance that is the current's own noise, at least."""
 
 RESTS = 1e-3
 """Share of the range of a speed up to which a rotor rests."""
@@ -73,6 +76,12 @@ def unanswered_variance(
     return total / power, math.sqrt(own + max(0.0, 2.0 * sum(neighbours))) / power
 
 
+def rest_share(speed_rad_s: Array) -> float:
+    """Return the share of its samples at which a rotor rests, whose speed is given."""
+    size = np.abs(speed_rad_s)
+    return float(np.count_nonzero(size <= RESTS * float(size.max()))) / size.size
+
+
 @dataclass(frozen=True)
 class VoltageNoise:
     """White noise of a window's voltages.
@@ -103,7 +112,7 @@ class VoltageNoise:
             return NO_NOISE
         parts = []
         for history, path in zip(runs.window.histories, runs.runs, strict=True):
-            winding = Winding.over(white_box, logarithms, history.interval_s)
+            winding = _winding(white_box, logarithms, history.interval_s)
             residual_a = history.current_a - path.states[:, State.CURRENT]
             innovation_a = residual_a[1:] - winding.decay * residual_a[:-1]
             difference_v = -0.5 * np.diff(history.voltage_v, 2)
@@ -113,31 +122,29 @@ class VoltageNoise:
         outcome = unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
         if outcome is None or not outcome[0] > SURE * outcome[1]:
             return NO_NOISE
-        size_rad_s = np.abs(runs.speed_rad_s)
-        held_count = np.count_nonzero(size_rad_s <= RESTS * float(size_rad_s.max()))
-        return cls(outcome[0], held_count / size_rad_s.size)
+        return cls(outcome[0], rest_share(runs.speed_rad_s))
 
-    def power_a2(self, white_box: MotorWhiteBox, logarithms: Array, window: Window) -> float:
+    def power_a2(self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> float:
         """Return the mean square of what the noise adds to a residual.
 
         Args:
-            white_box: of one motor with a rotor.
+            white_box: of one motor.
             logarithms: shape (parameter,): its values.
-            window: the samples.
+            interval_s: shape (k,): of the samples.
         """
         if self.variance_v2 == 0.0:
             return 0.0
-        return float(self._products(white_box, [logarithms], window)[0, 0])
+        return float(self._products(white_box, [logarithms], interval_s)[0, 0])
 
     def products(
-        self, white_box: MotorWhiteBox, logarithms: Array, window: Window
+        self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array
     ) -> tuple[Array, Array]:
         """Return the mean products that the noise makes, of a sample's slopes.
 
         Args:
-            white_box: of one motor with a rotor.
+            white_box: of one motor.
             logarithms: shape (parameter,): its values.
-            window: the samples.
+            interval_s: shape (k,): of the samples.
 
         Returns:
             With what it adds to the residual, shape (parameter,), and among each other, shape
@@ -145,7 +152,7 @@ class VoltageNoise:
         """
         nudges = NUDGE * np.eye(logarithms.size)
         values = [logarithms, *(logarithms + nudges), *(logarithms - nudges)]
-        products = self._products(white_box, values, window)
+        products = self._products(white_box, values, interval_s)
         nothing = np.zeros((logarithms.size, 1))
         differences = np.hstack([nothing, nudges, -nudges]) / (2.0 * NUDGE**2)
         return -differences @ products[:, 0], differences @ products @ differences.T
@@ -176,7 +183,7 @@ class VoltageNoise:
         Returns:
             Shape (k, column).
         """
-        winding = Winding.over(white_box, logarithms, interval_s)
+        winding = _winding(white_box, logarithms, interval_s)
         inputs = slopes[:0:-1].T[:, None]
         factor = np.concatenate([winding.decay[1:], [0.0]])[None, ::-1]
         start = np.zeros((slopes.shape[1], 1))
@@ -184,10 +191,36 @@ class VoltageNoise:
         result: Array = (self.stds_v(interval_s) * winding.gain_a_v)[:, None] * sums
         return result
 
-    def memory(self, decay: float, gain_a_v: float, own_a2: float) -> float:
-        """Return what an innovation leaves in the next one, of a residual that the noise moves.
+    def innovation(
+        self, residual_a: Array, winding: Winding, is_whole: NDArray[np.bool_], power_a2: float
+    ) -> Array:
+        """Return what a residual has beyond the memory that the noise gives it, shape (k + 1,).
 
         It is that of a Kalman filter of the winding alone, in its steady state.
+
+        Args:
+            residual_a: shape (k + 1,).
+            winding: what every interval does.
+            is_whole: shape (k,): over which intervals the run goes on.
+            power_a2: mean square of what the noise adds to the residual.
+        """
+        size_a2 = (MAD_TO_STD * float(median(np.abs(residual_a)))) ** 2
+        own_a2 = max(size_a2 - power_a2, OWN_SHARE * size_a2)
+        if not (is_whole.any() and size_a2 > 0.0):
+            return residual_a
+        decay = np.where(is_whole, winding.decay, 0.0)
+        memory = self._memory(
+            float(median(winding.decay[is_whole])),
+            float(median(winding.gain_a_v[is_whole])),
+            own_a2,
+        )
+        inputs = residual_a[1:] - decay * residual_a[:-1]
+        memories = np.where(is_whole, memory, 0.0)
+        result = recurrence(memories[None], inputs[None, None], residual_a[None, :1])
+        return np.asarray(result[0, 0])
+
+    def _memory(self, decay: float, gain_a_v: float, own_a2: float) -> float:
+        """Return what an innovation leaves in the next one.
 
         Args:
             decay: share of a deviation that an interval leaves.
@@ -199,29 +232,37 @@ class VoltageNoise:
         predicted_a2 = half + math.sqrt(half * half + added_a2 * own_a2)
         return decay * own_a2 / (predicted_a2 + own_a2)
 
-    def _products(self, white_box: MotorWhiteBox, values: list[Array], window: Window) -> Array:
+    def _products(self, white_box: MotorWhiteBox, values: list[Array], interval_s: Array) -> Array:
         """Return mean products of what the noise adds at two values each, (value, value), in A2."""
-        interval_s, variances_v2 = self._by_length(window)
+        lengths_s, variances_v2 = self._by_length(interval_s)
         products = np.zeros((len(values), len(values)))
         for is_held, share in ((False, 1.0 - self.held_share), (True, self.held_share)):
             if share > 0.0:
                 responses = VoltageResponses.of_values(
-                    white_box, values, interval_s, is_held=is_held
+                    white_box, values, lengths_s, is_held=is_held
                 )
                 products += share * responses.products @ variances_v2
         return products
 
-    def _by_length(self, window: Window) -> tuple[Array, Array]:
-        """Return the lengths of a window's intervals in s, and variances in V2 by their shares.
+    def _by_length(self, interval_s: Array) -> tuple[Array, Array]:
+        """Return the lengths of intervals in s, and variances in V2 by their shares.
 
         Merged samples go into octaves. Their voltage is a mean, whose noise is smaller.
         """
-        interval_s = np.concatenate([history.interval_s for history in window.histories])
-        octaves = np.round(np.log2(np.maximum(interval_s / window.interval_s, 1.0)))
+        interval_s = interval_s[interval_s > 0.0]
+        usual_s = float(median(interval_s))
+        octaves = np.round(np.log2(np.maximum(interval_s / usual_s, 1.0)))
         _, places, counts = np.unique(octaves, return_inverse=True, return_counts=True)
         mean_s = np.bincount(places, interval_s) / counts
-        merged_counts = np.maximum(mean_s / window.interval_s, 1.0)
+        merged_counts = np.maximum(mean_s / usual_s, 1.0)
         return mean_s, self.variance_v2 * counts / interval_s.size / merged_counts
+
+
+def _winding(white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> Winding:
+    """Return what intervals, shape (k,), do at values, shape (parameter,)."""
+    values = white_box.values(np.exp(logarithms))
+    winding_s = values['inductance'] / values['resistance']
+    return Winding.over(values['resistance'], winding_s, interval_s)
 
 
 NO_NOISE = VoltageNoise()

@@ -28,11 +28,16 @@ class Winding:
     gain_a_v: Array
 
     @classmethod
-    def over(cls, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> Winding:
-        """Return it for intervals, shape (k,), at values, shape (parameter,)."""
-        values = white_box.values(np.exp(logarithms))
-        intervals = interval_s * (values['resistance'] / values['inductance'])
-        return cls(np.exp(-intervals), -np.expm1(-intervals) / values['resistance'])
+    def over(cls, resistance_ohm: float, winding_s: float, interval_s: Array) -> Winding:
+        """Return it for intervals, shape (k,).
+
+        Args:
+            resistance_ohm: R.
+            winding_s: L/R in s.
+            interval_s: shape (k,).
+        """
+        intervals = interval_s / winding_s
+        return cls(np.exp(-intervals), -np.expm1(-intervals) / resistance_ohm)
 
 
 @dataclass(frozen=True, eq=False)

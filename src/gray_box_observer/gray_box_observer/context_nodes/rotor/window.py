@@ -51,8 +51,9 @@ work; a reading is another one."""
 WORK_A_LAG = 6
 """Work of a reading of a current sensor that lags, with its derivatives."""
 
+INDUCTANCE = tuple(TERMS).index('inductance')
 RESISTANCE = tuple(TERMS).index('resistance')
-"""Place of R/L among the coordinates."""
+"""Places of 1/L and R/L among the coordinates."""
 
 LEAST_LAG = 0.1
 """Share of lag and L/R together that a search begins with for the lag, at least."""
@@ -165,7 +166,12 @@ class Window:
     @cached_property
     def interval_s(self) -> float:
         """Median of all intervals."""
-        return float(median(np.concatenate([h.interval_s for h in self.histories])))
+        return float(median(self.intervals_s))
+
+    @cached_property
+    def intervals_s(self) -> Array:
+        """Every interval, shape (interval,)."""
+        return np.concatenate([history.interval_s for history in self.histories])
 
     @cached_property
     def currents(self) -> Any:
@@ -311,6 +317,11 @@ class FreeRuns:
             )
             for history, path, start in histories
         )
+
+    @property
+    def resistance_ohm(self) -> float:
+        """R in ohm."""
+        return float(self.p[RESISTANCE] / self.p[INDUCTANCE])
 
     @property
     def winding_s(self) -> float:

@@ -262,10 +262,14 @@ class Search:
         """Return what noise of the voltage adds to the cost; endless where it is not believed."""
         if self._noise is NO_NOISE:
             return 0.0
-        power = self._noise.power_a2(self.white_box, logarithms, self.window)
+        power = self._power_of_noise(logarithms)
         if power > (MOST_SHARE * self.window.spread_a) ** 2:
             return -np.inf
         return float(residual[self._currents].size * power / scale**2)
+
+    def _power_of_noise(self, logarithms: Array) -> float:
+        """Return the mean square of what noise of the voltage adds to the current's residual."""
+        return self._noise.power_a2(self.white_box, logarithms, self.window.intervals_s)
 
     def _equations(self, weights: Array, scale: float) -> Equations:
         equations = Equations.from_runs(
@@ -276,7 +280,7 @@ class Search:
         )
         if self._noise is NO_NOISE:
             return equations
-        products = self._noise.products(self.white_box, self.logarithms, self.window)
+        products = self._noise.products(self.white_box, self.logarithms, self.window.intervals_s)
         total = float(weights[self._currents].sum()) / scale**2
         return equations.compensated(*(total * one for one in products))
 
@@ -416,7 +420,8 @@ class Search:
             chi_square,
             self.starts,
             self._at,
-            float(np.sqrt(self._noise.power_a2(self.white_box, self.logarithms, self.window))),
+            self._noise,
+            float(np.sqrt(self._power_of_noise(self.logarithms))),
         )
 
     def _information_in_noise(self, equations: Equations, weights: Array, noise: float) -> Array:
@@ -424,7 +429,7 @@ class Search:
 
         It is ``H M^-1 H``: M is the covariance of the right-hand side, H the equations'.
         """
-        power = self._noise.power_a2(self.white_box, self.logarithms, self.window)
+        power = self._power_of_noise(self.logarithms)
         own_a2 = max(noise**2 - power, self._floor_a**2)
         parameters = equations.right.size
         covariance = np.zeros((parameters, parameters))
@@ -436,13 +441,12 @@ class Search:
             unknowns = gain.shape[0]
             own_slopes = slopes[:, unknowns:] - slopes[:, :unknowns] @ gain
             own_slopes *= weights[readings, None] / noise**2
-            covariance += own_a2 * own_slopes.T @ own_slopes
+            of_current = own_slopes[: history.current_a.size]
+            of_speed = own_slopes[history.current_a.size :]  # in the unit of all of the noise
             moves = self._noise.moves(
-                self.white_box,
-                self.logarithms,
-                history.interval_s,
-                own_slopes[: history.current_a.size],
+                self.white_box, self.logarithms, history.interval_s, of_current
             )
-            covariance += moves.T @ moves
+            covariance += own_a2 * of_current.T @ of_current
+            covariance += noise**2 * of_speed.T @ of_speed + moves.T @ moves
         matrix = equations.information
         return np.asarray(matrix @ np.linalg.pinv(covariance, hermitian=True) @ matrix)
