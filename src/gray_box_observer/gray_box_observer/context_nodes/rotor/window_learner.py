@@ -55,6 +55,9 @@ POOR = 1.5
 HOPELESS = 4.5
 """The same from which the motor is called a misfit, and more samples are not asked."""
 
+REACH_OF_INDUCTANCE = 2.0
+"""Standard deviation of the inductance's logarithm, at most, with which it moves the others."""
+
 LEAST_SHARE = 0.01
 """Information of a window, over that of what is remembered, from which it may contradict that."""
 
@@ -155,7 +158,7 @@ class WindowLearner:
         weak_precision = np.minimum(VAGUE**-2.0, shares**2)
         self.logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
-        self.covariance = _inverse(information + np.diag(prior)) + fit.spread
+        self.covariance = self._within_reach(_inverse(information + np.diag(prior))) + fit.spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
         self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
@@ -195,6 +198,24 @@ class WindowLearner:
             return True
         place = self._white_box.context_nodes.index('inertia')
         return bool(self.covariance[place, place] > SHARP**2)
+
+    def _within_reach(self, covariance: Array) -> Array:
+        """Return a covariance in which an inductance moves the others no further than it can.
+
+        An inductance of which the samples tell nothing may be far smaller. But what it does goes
+        with itself: where it is next to nothing the others move as by a factor of e.
+        """
+        nodes = self._white_box.context_nodes
+        if 'inductance' not in nodes:
+            return covariance
+        place = nodes.index('inductance')
+        variance = float(covariance[place, place])
+        if not variance > REACH_OF_INDUCTANCE**2:
+            return covariance
+        slopes = covariance[place] / variance
+        result = covariance - (variance - REACH_OF_INDUCTANCE**2) * np.outer(slopes, slopes)
+        result[place, place] = variance
+        return np.asarray(0.5 * (result + result.T))
 
     def _remember(self, covariance: Array) -> None:
         """Keep what is known of those parameters that the samples have told of."""
