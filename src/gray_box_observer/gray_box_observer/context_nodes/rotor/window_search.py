@@ -15,6 +15,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import (
+    OUTLIER,
     bounded_solution,
     logarithmic_curvature,
 )
@@ -26,6 +27,7 @@ from gray_box_observer.context_nodes.rotor.voltage_noise import (
     VoltageNoise,
 )
 from gray_box_observer.context_nodes.rotor.window import (
+    FEWEST,
     FreeRuns,
     Window,
     free_runs,
@@ -39,6 +41,7 @@ from gray_box_observer.context_nodes.rotor.window_equations import (
     start_precision,
 )
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -75,6 +78,9 @@ factor of e then moves chi-square by less than that."""
 LEAST_NOISE = 3e-4
 """Smallest noise that is believed, as a share of the current's spread: what softened friction and
 finite steps leave."""
+
+FEW = 3
+"""Intervals that tell the speed of a rotor which forgets it soon."""
 
 MOST_SETTLED = 4
 """Steps at most in which first states are moved by themselves where the parameters are believed."""
@@ -223,8 +229,28 @@ class Search:
     def settle_starts_of_motor(self) -> Pieces[None]:
         """Move the first states on, where the parameters are believed, as long as that gains.
 
-        Of a motor that forgets them within a few samples these hardly show in the scale.
+        Of a motor that forgets them within a few samples these hardly show in the scale. Where the
+        first samples stay unexplained, friction may hold the search up: other speeds are tried.
         """
+        yield from self._settle_further()
+        if not self._begins_badly:
+            return
+        best = self._at, self.starts
+        scale = self._scale(self._at.residual_a)
+        for speeds in self._other_speeds():
+            self.starts = self.starts.copy()
+            self.starts[:, State.SPEED] = speeds
+            self._runs = yield from self._run(self.logarithms, self.starts)
+            if self._runs is not None:
+                yield from self._settle_further()
+                totals = [
+                    self._total(runs.residual_a, scale, self.logarithms, starts)
+                    for runs, starts in (best, (self._at, self.starts))
+                ]
+                best = best if totals[0] <= totals[1] else (self._at, self.starts)
+            self._runs, self.starts = best
+
+    def _settle_further(self) -> Pieces[None]:
         for _ in range(MOST_SETTLED):
             scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -240,6 +266,26 @@ class Search:
             self._runs = runs
             if gain < LEAST_START_GAIN:
                 return
+
+    @property
+    def _begins_badly(self) -> bool:
+        """Whether the first samples of a history lie far off, beside all of them."""
+        most = OUTLIER * self._scale(self._at.residual_a)
+        begin = 0
+        for history in self.window.histories:
+            if np.abs(self._at.residual_a[begin : begin + FEWEST]).max() > most:
+                return True
+            begin += history.current_a.size
+        return False
+
+    def _other_speeds(self) -> list[Array]:
+        """Return other first speeds, shape (history,): by the first intervals alone, and none."""
+        values = self.white_box.values(np.exp(self.logarithms))
+        emf_v = [
+            float(median((one.voltage_v - values['resistance'] * one.current_a[1:])[:FEW]))
+            for one in self.window.histories
+        ]
+        return [np.array(emf_v) / values['back_emf_constant'], np.zeros(len(emf_v))]
 
     def _weights(self, scale: float) -> Array:
         return robust_weights(self._at.residual_a, scale, leaves_out=self._leaves_out)
