@@ -57,7 +57,7 @@ def test_a_volt_in_one_interval_moves_the_current_as_the_motor_does(
     responses = VoltageResponses.of_values(
         BOX, [LOGARITHMS], np.array([interval_s]), is_held=is_held
     )
-    assert responses.products[0, 0, 0] == pytest.approx(float(answer @ answer), rel=3e-3)
+    assert responses.current_products[0, 0, 0] == pytest.approx(float(answer @ answer), rel=3e-3)
 
 
 @pytest.mark.parametrize('factor', [1.0, 3.0], ids=['at the truth', 'far from it'])

@@ -60,6 +60,7 @@ def analysis(**findings: object) -> ResidualAnalysis:
         open_shifts=np.empty((0, 2)),
         smoothing_shifts=np.empty((0, 2)),
         persistence=0.0,
+        has_noisy_voltage=False,
         evidence=NO_EVIDENCE,
     )
     return replace(nothing, **findings)  # type: ignore[arg-type]

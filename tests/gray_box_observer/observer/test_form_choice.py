@@ -95,16 +95,33 @@ def test_a_restored_motor_has_the_form_that_it_had(tmp_path: Path) -> None:
     assert motor.state()[0]['speed'] == before.motors['motor'].state()[0]['speed']
 
 
-def test_a_motor_that_has_stood_for_long_waits_no_longer_than_a_new_one() -> None:
-    new = TrialPace()
-    stood = TrialPace()
-    for pace, doubt in ((new, 0), (stood, 100_000)):
-        pace.note_doubt(doubt)
-        for count in (300, 1000, 4000):
+def paced(pace: TrialPace, doubt: int) -> int:
+    """Let three trials come after a doubt; return how long after it the next is due."""
+    for count in range(0, 4001, 100):
+        pace.note_doubt(doubt + count)
+        if count in (300, 1000, 4000):
             pace.begin(doubt + count)
             pace.end(doubt + count)
-    assert new.due == 8000
-    assert stood.due == 100_000 + new.due
+    return pace.due - doubt
+
+
+def test_a_motor_that_has_stood_for_long_waits_no_longer_than_a_new_one() -> None:
+    assert paced(TrialPace(), 0) == 8000
+    assert paced(TrialPace(), 100_000) == 8000
+
+
+def test_a_motor_that_was_explained_for_long_waits_no_longer_either() -> None:
+    pace = TrialPace()
+    assert paced(pace, 0) == 8000
+    assert paced(pace, 100_000) == 8000
+
+
+def test_a_doubt_that_comes_and_goes_is_one() -> None:
+    pace = TrialPace()
+    paced(pace, 0)
+    wait = pace.wait
+    pace.note_doubt(4000 + wait)
+    assert pace.wait == wait
 
 
 def test_a_doubt_that_may_rest_on_all_samples_began_with_the_first() -> None:

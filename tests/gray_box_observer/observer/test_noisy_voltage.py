@@ -62,9 +62,9 @@ def test_its_inductance_and_resistance_are_identified_and_right(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('speed_noise', [0.0, 0.003])
+@pytest.mark.parametrize('speed_noise', [0.001, 0.003, 0.01])
 def test_beside_a_measured_speed_they_are_right_too(speed_noise: float) -> None:
-    record = noisy(recorded(GEAR_MOTOR, HELD, 5.0, 1), 0.005, 3)
+    record = noisy(recorded(GEAR_MOTOR, HELD, 8.0, 1), 0.005, 3)
     speed = record.speed_rad_s[0]
     noise = np.random.default_rng(7).normal(size=speed.size)
     motor = observed(record, speed + speed_noise * speed.std() * noise).motors['motor']
@@ -82,7 +82,7 @@ def test_an_inductance_that_nothing_tells_leaves_the_resistance_alone() -> None:
     record = noisy(recorded(GEAR_MOTOR, LIVELY, 20.0, 1, rate_hz=100.0), 0.01, 3)
     motor = observed(record, **{'motor.speed_source': 'rotor'}).motors['motor']
     value, std, _ = told(motor, 'resistance')
-    assert std < 0.05 * value
+    assert std < 0.1 * value
     assert abs(value - GEAR_MOTOR.resistance) < 4.0 * std
     value, std, verdict = told(motor, 'inductance')
     assert verdict is not Verdict.IDENTIFIED

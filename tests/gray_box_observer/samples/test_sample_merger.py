@@ -100,3 +100,39 @@ def test_the_noise_of_a_measured_voltage_is_no_move(share: float) -> None:
     stamps = {one.stamp_ns for one in passed}
     for move in (5000, 10_000, 15_000):  # behind each all are kept for a while
         assert set(range(move + 2, move + ALL_KEPT)) <= stamps
+
+
+def longest_span_s(voltage_v: np.ndarray) -> float:
+    """Return the longest interval of samples that follow full steps of 12 V."""
+    steps = np.repeat([12.0, -12.0], 500)
+    passed = kept(SampleMerger(), samples_of(np.append(steps, voltage_v)))
+    return max(float(one.interval_s[0]) for one in passed)
+
+
+@pytest.mark.parametrize('size_v', [0.12, 0.17])
+def test_small_moves_of_a_command_are_no_noise(size_v: float) -> None:
+    moves = np.random.default_rng(2).choice([-size_v, size_v], size=20_000)
+    assert longest_span_s(6.0 + np.repeat(moves, 3)) <= INTERVAL_S * 8
+
+
+@pytest.mark.parametrize('rate_v_s', [0.1, 1.0])
+def test_a_ramp_beside_noise_is_a_move(rate_v_s: float) -> None:
+    """No span is so long that the ramp moves by more than the noise within it."""
+    noise_v = 0.12
+    ramp = rate_v_s * INTERVAL_S * np.arange(40_000) % 10.0
+    span_s = longest_span_s(ramp + noise_v * np.random.default_rng(2).normal(size=ramp.size))
+    assert span_s * rate_v_s < noise_v
+
+
+@pytest.mark.parametrize('place', [2000, 5900, 6100])
+def test_a_noisy_voltage_goes_on_alike_where_it_is_restored(place: int) -> None:
+    rng = np.random.default_rng(4)
+    level = np.repeat([9.0, -4.0, 6.0], [3000, 3000, 2000])
+    samples = samples_of(level + 0.05 * rng.normal(size=level.size))
+    through = SampleMerger()
+    kept(through, samples[:place])
+    restored = SampleMerger.restored(through.state())
+    rest = [kept(one, samples[place:]) for one in (through, restored)]
+    assert [np.hstack(one[1:4]).tolist() for one in rest[0]] == [
+        np.hstack(one[1:4]).tolist() for one in rest[1]
+    ]

@@ -32,10 +32,13 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
+    FEWEST,
     MERGED,
     NO_NOISE,
     SURE,
     VoltageNoise,
+    believed_variance,
+    lagged_readings,
     rest_share,
     unanswered_variance,
 )
@@ -197,6 +200,14 @@ def _innovation(run: FreeRun) -> Array:
     return run.residual_a[1:] - run.decay * run.residual_a[:-1]
 
 
+def _is_plain(run: FreeRun) -> NDArray[np.bool_]:
+    """Tell which intervals are whole, and none of merged samples, shape (k,)."""
+    interval_s = run.stretch.interval_s[0]
+    usual_s = median(interval_s[interval_s > 0.0]) if (interval_s > 0.0).any() else 0.0
+    is_plain: NDArray[np.bool_] = run.is_whole & (interval_s < MERGED * usual_s)
+    return is_plain
+
+
 def voltage_variances(run: FreeRun) -> dict[str, Amount]:
     """Return variances in V2 of a noise of the voltage that the current does not answer.
 
@@ -207,9 +218,7 @@ def voltage_variances(run: FreeRun) -> dict[str, Amount]:
     with the voltage less the one before, and these only know earlier readings. That tells little.
     """
     gain = run.reach_s / run.inductance_h
-    interval_s = run.stretch.interval_s[0]
-    usual_s = median(interval_s[interval_s > 0.0]) if (interval_s > 0.0).any() else 0.0
-    whole = run.is_whole & (interval_s < MERGED * usual_s)
+    whole = _is_plain(run)
     change_v = np.diff(run.stretch.voltage_v[0])
     by_neighbours = _noise_variance(
         -0.5 * np.diff(change_v),
@@ -234,14 +243,22 @@ def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeR
     held_share = rest_share(run.speed_rad_s) if isinstance(run, RotorFreeRun) else 1.0
     if white_box.has_rotor and not isinstance(run, RotorFreeRun):  # it cannot be run
         return run
-    amount = voltage_variances(run)[BY_NEIGHBOURS]
-    if not amount.mean > SURE * amount.std:
+    if run.stretch.voltage_v.shape[1] < FEWEST:
+        return run
+    readings = lagged_readings(run.stretch.voltage_v[0], _innovation(run), run.gain, _is_plain(run))
+    variance_v2 = believed_variance([readings])
+    if not variance_v2:
         return run
     assert isinstance(white_box, MotorWhiteBox)
-    noise = VoltageNoise(amount.mean, held_share)
+    noise = VoltageNoise(variance_v2, held_share)
     intervals_s = run.stretch.interval_s[0]
     power_a2 = noise.power_a2(white_box, np.log(theta), intervals_s)
     return replace(run, noise=noise, noise_power_a2=power_a2)
+
+
+def shows_noise(variance: Amount) -> bool:
+    """Tell whether a variance, as :func:`voltage_variances` has it, is that of some noise."""
+    return variance.mean > SURE * variance.std
 
 
 def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
@@ -253,7 +270,7 @@ def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
         noise_v = difference_noise(run.stretch.voltage_v[0])
         return min(upper_v2, noise_v * noise_v)
     both = by_neighbours, by_the_one_before
-    return max(one.mean if one.mean > SURE * one.std else 0.0 for one in both)
+    return max(one.mean if shows_noise(one) else 0.0 for one in both)
 
 
 def _share_of_noise(run: FreeRun, start: _Push, end: _Push, std_rad_s: float) -> float:

@@ -63,6 +63,10 @@ shows otherwise."""
 SCORE_MEASURED = 100.0
 """The same where speed is measured: real motors are not so exact that less would be a fault."""
 
+SCORE_IN_NOISE = 16.0
+"""The same beside noise of a measured voltage, from which the deviations contain what the effect
+does: what 100 would show without noise, hides in it."""
+
 STANDING = 0.5
 """Share of these scores that lets a misfit stand."""
 
@@ -247,6 +251,8 @@ def judge(
         verdict = FitVerdict.WARNING
     else:
         verdict = FitVerdict.OK
+    if analysis.has_noisy_voltage and not strong:
+        strong = [score for score in analysis.scores if score.score > SCORE_IN_NOISE]
     for score in strong[:1]:
         shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)

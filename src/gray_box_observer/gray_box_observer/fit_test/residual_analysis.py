@@ -37,6 +37,7 @@ from gray_box_observer.fit_test.input_noise import (
     BY_NEIGHBOURS,
     BY_THE_ONE_BEFORE,
     input_noise_scores,
+    shows_noise,
     voltage_variances,
     with_voltage_noise,
 )
@@ -162,6 +163,7 @@ class ResidualAnalysis:
             quite that of the white box, a measured speed that is not that of the whole motor, one
             that comes late, a lag that is not quite as found, and a rotor that may turn.
         smoothing_shifts: likewise, where the lag of the winding may be a driver's.
+        has_noisy_voltage: whether a rotor's current leaves a part of the voltage unanswered.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -180,6 +182,7 @@ class ResidualAnalysis:
     open_shifts: Array
     smoothing_shifts: Array
     persistence: float
+    has_noisy_voltage: bool
     evidence: Evidence
 
 
@@ -274,7 +277,7 @@ def analysis_in_pieces(
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     theta = to_parameters(p)[0]
-    if white_box.has_rotor or knows_voltage_noise:
+    if (white_box.has_rotor and not white_box.load_varies) or knows_voltage_noise:
         run = with_voltage_noise(white_box, theta, run)
     floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
@@ -376,6 +379,7 @@ def analysis_in_pieces(
         open_shifts=np.concatenate(open_shifts),
         smoothing_shifts=np.concatenate([np.empty((0, theta.size)), *smoothing_shifts]),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
+        has_noisy_voltage=white_box.has_rotor and shows_noise(variances[BY_NEIGHBOURS]),
         evidence=evidence,
     )
 

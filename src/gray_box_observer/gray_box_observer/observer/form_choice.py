@@ -81,12 +81,14 @@ class TrialPace:
         wait: samples from the end of a trial to the next one.
         trials: how many have begun.
         doubt: place at which the newest late doubt has begun; 0: there was none.
+        newest_doubt: place of the newest sample in doubt.
     """
 
     due: int = FEWEST
     wait: int = FEWEST
     trials: int = 0
     doubt: int = 0
+    newest_doubt: int = 0
 
     def begin(self, place: int) -> None:
         """Note that a trial begins; the next comes when the samples in doubt have doubled.
@@ -98,9 +100,15 @@ class TrialPace:
         self.wait = min(max(2 * self.wait, place - self.doubt), LONGEST_WAIT)
 
     def note_doubt(self, place: int) -> None:
-        """Note that a doubt begins; one that may rest on all samples began with the first."""
-        if place > NEWEST:
+        """Note that a sample is in doubt; a doubt that may rest on all samples began with them.
+
+        One that comes after as many good samples as the wait is a new one: it is asked at once.
+        """
+        if place > NEWEST and place - self.newest_doubt > max(self.wait, NEWEST):
             self.doubt = place
+            self.wait = FEWEST
+            self.due = min(self.due, place)
+        self.newest_doubt = place
 
     def postpone(self, place: int) -> None:
         """Note that nothing could be tried."""
@@ -160,7 +168,6 @@ class FormChoice:
         self._newest_v = self._largest_v = 0.0  # voltages; the largest of two samples in a row
         self._place = 0  # of the newest sample
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
-        self._was_doubted = False  # at the sample before
 
     @property
     def reason(self) -> str:
@@ -237,9 +244,8 @@ class FormChoice:
         elif fit.verdict is FitVerdict.OK:
             self._change_count = max(self._change_count - new_count, 0)
         is_doubted = self._is_doubted(fit)
-        if is_doubted and not self._was_doubted:
+        if is_doubted:
             self._pace.note_doubt(place)
-        self._was_doubted = is_doubted
         self._budget.grant(float(sample.interval_s[0]), max(new_count, 1))
         is_open = is_doubted or self._has_open_lag
         self.is_idle = not (is_open or may_have_changed) and self._trial is None
@@ -309,6 +315,8 @@ class FormChoice:
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
         self._place = int(form.context_nodes.replay.received[0])
+        self._pace.doubt = 0  # the form counts by itself what it has received
+        self._pace.newest_doubt = self._place
         self._pace.end(self._place)
         return form
 
@@ -421,7 +429,7 @@ class FormChoice:
             'wait': self._pace.wait,
             'trials': self._pace.trials,
             'doubt': self._pace.doubt - place,
-            'was_doubted': self._was_doubted,
+            'newest_doubt': self._pace.newest_doubt - place,
             'credit': self._budget.credit,
             'seen': self._place - place,
             'is_idle': self.is_idle,
@@ -473,8 +481,10 @@ class FormChoice:
         self._trial = None
         self._reasons = Reasons(source=reasons[0], refusal=reasons[1], effects=reasons[2])
         doubt = whole(plain, 'doubt', -MOST, MOST) if 'doubt' in plain else -place
-        self._pace = TrialPace(place + due, wait, trials, place + doubt)
-        self._was_doubted = 'was_doubted' in plain and flag(plain, 'was_doubted')
+        newest_doubt = -place
+        if 'newest_doubt' in plain:  # not in files of early releases
+            newest_doubt = whole(plain, 'newest_doubt', -MOST, MOST)
+        self._pace = TrialPace(place + due, wait, trials, place + doubt, place + newest_doubt)
         self._place = place
         if 'seen' in plain:  # not in files of early releases
             self._place += whole(plain, 'seen', -MOST, MOST_AHEAD)

@@ -44,7 +44,16 @@ NOISE_SAMPLES = 128
 """Samples over which the noise is averaged."""
 
 LEVEL_SAMPLES = 256
-"""Samples over which a noisy level is averaged, at most."""
+"""Samples over which a noisy level is averaged; then it stays."""
+
+RECENT_SAMPLES = 32
+"""Samples over which the newest voltages are averaged, to be compared with it."""
+
+MOVED = 4.0
+"""Standard deviations of the difference of both from which the voltage has moved."""
+
+MOST_REPEATS = 0.1
+"""Share of readings that repeat the one before, at most: noise hardly does, a command does."""
 
 DIFFERENCE_TO_STD = 0.5 * math.sqrt(math.pi)
 """Standard deviation of white noise, over the mean size of the difference of two samples."""
@@ -87,6 +96,8 @@ class SampleMerger:
         self._level_v = 0.0  # of the voltage that is held
         self._newest_v = 0.0
         self._noise_v = 0.0  # standard deviation of the voltage's noise
+        self._recent_v = 0.0  # mean of the newest voltages
+        self._repeat_share = 0.0  # of readings that repeat the one before
         self._held_count = 0  # samples since it has moved
         self._span = _NONE
 
@@ -100,21 +111,24 @@ class SampleMerger:
         largest_v = max(self._largest_v, abs(self._level_v))
         most_v = MOST_NOISE * largest_v
         is_noisy = HELD * largest_v < NOISE_STDS * self._noise_v <= NOISE_STDS * most_v
+        is_noisy &= self._repeat_share <= MOST_REPEATS
         range_v = NOISE_STDS * self._noise_v if is_noisy else HELD * largest_v
-        is_near = abs(voltage_v - self._level_v) <= range_v
+        is_near = abs(voltage_v - self._level_v) <= range_v and not (is_noisy and self._has_moved)
         difference_v = min(abs(voltage_v - self._newest_v), STEP * most_v)
         self._noise_v += (DIFFERENCE_TO_STD * difference_v - self._noise_v) / NOISE_SAMPLES
+        self._repeat_share += ((voltage_v == self._newest_v) - self._repeat_share) / NOISE_SAMPLES
         self._newest_v = voltage_v
         if not (is_near and interval_s > 0.0):
             rest = self._span.merged if interval_s > 0.0 else ()
             self._span = _NONE
-            self._level_v = voltage_v
+            self._level_v = self._recent_v = voltage_v
             self._held_count = 0
             return (*rest, sample)
         self._largest_v = largest_v
         self._held_count += 1
-        if is_noisy:
-            count = min(self._held_count + 1, LEVEL_SAMPLES)
+        count = self._held_count + 1
+        self._recent_v += (voltage_v - self._recent_v) / min(count, RECENT_SAMPLES)
+        if is_noisy and count <= LEVEL_SAMPLES:
             self._level_v += (voltage_v - self._level_v) / count
         if self._held_count <= ALL_KEPT:
             return (sample,)
@@ -132,6 +146,15 @@ class SampleMerger:
         return kept_samples
 
     @property
+    def _has_moved(self) -> bool:
+        """Whether a noisy voltage drifts from the level at which it was held."""
+        if self._held_count < LEVEL_SAMPLES:
+            return False
+        variance = 1.0 / (2.0 * RECENT_SAMPLES - 1.0) + 1.0 / LEVEL_SAMPLES
+        most_v = MOVED * self._noise_v * math.sqrt(variance)
+        return abs(self._recent_v - self._level_v) > most_v
+
+    @property
     def pending(self) -> tuple[Sample, ...]:
         """What has come and is not passed on yet, as one sample; empty where nothing has."""
         return self._span.merged
@@ -143,6 +166,8 @@ class SampleMerger:
             'level_v': self._level_v,
             'newest_v': self._newest_v,
             'noise_v': self._noise_v,
+            'recent_v': self._recent_v,
+            'repeat_share': self._repeat_share,
             'held_count': self._held_count,
             'span': self._span._asdict(),
         }
@@ -160,6 +185,8 @@ class SampleMerger:
         if 'noise_v' in plain:  # not in files of early releases
             merger._newest_v = number(plain, 'newest_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
             merger._noise_v = number(plain, 'noise_v', 0.0, LARGEST_SIGNAL)
+            merger._recent_v = number(plain, 'recent_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+            merger._repeat_share = number(plain, 'repeat_share', 0.0, 1.0)
         merger._held_count = whole(plain, 'held_count')
         span = group(plain, 'span')
         count = whole(span, 'sample_count')

@@ -35,7 +35,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
     walk_of_load,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
@@ -260,10 +260,8 @@ class OutputFit:
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""
         most_a = math.hypot(factor * self.floor.current_a, self.fit.voltage_noise_a)
-        return (
-            self.noise.current_a <= most_a
-            and self.noise.speed_rad_s <= factor * self.floor.speed_rad_s
-        )
+        most_rad_s = math.hypot(factor * self.floor.speed_rad_s, self.fit.voltage_noise_rad_s)
+        return self.noise.current_a <= most_a and self.noise.speed_rad_s <= most_rad_s
 
     def lag(self) -> tuple[float, float]:
         """Return the lag of the speed in the longest history in s, and its standard deviation."""
@@ -385,6 +383,7 @@ class FitBefore:
         unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
         has_rivals: whether other ends were as likely.
         sensor: of the current, where it lags; None: it does not.
+        noise: of the voltage.
     """
 
     theta: Array
@@ -392,12 +391,14 @@ class FitBefore:
     unit_a_s: float
     has_rivals: bool
     sensor: CurrentSensor | None = None
+    noise: VoltageNoise = NO_NOISE
 
     @classmethod
     def from_fit(cls, fit: OutputFit) -> FitBefore:
         """Return what a fit of a part of the window has left."""
         has_rivals = bool(fit.fit.spread.any())
-        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, fit.sensor)
+        noise = fit.fit.voltage_noise
+        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, fit.sensor, noise)
 
 
 def fit_outputs_again(
@@ -445,11 +446,15 @@ def _settled(
     output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
     tries_others = last_fit is None or last_fit.has_rivals
     sensor = None if last_fit is None else last_fit.sensor
+    noise = NO_NOISE if last_fit is None else last_fit.noise
     for _ in range(ROUNDS):
         window = replace(window, unknowns=Unknowns(output, current_sensor=sensor))
-        fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
+        fit = yield from fit_window(
+            white_box, window, prior, starts, tries_others=tries_others, noise_before=noise
+        )
         if fit is None:
             return result
+        noise = fit.voltage_noise
         before = result
         result = _result(fit, window, floor)
         if not result.is_within(HOPELESS) or (stops_at_lead and result.speed_leads):

@@ -50,7 +50,8 @@ class Fit:
         starts: shape (history, unknown): first states, and what else is free in a history.
         runs: the free runs there.
         voltage_noise: that the current does not answer.
-        voltage_noise_a: standard deviation of what that adds to the residual.
+        voltage_noise_a: standard deviation of what that adds to the current's residual.
+        voltage_noise_rad_s: the same of the speed's, where that is measured.
     """
 
     logarithms: Array
@@ -63,6 +64,7 @@ class Fit:
     runs: FreeRuns
     voltage_noise: VoltageNoise = NO_NOISE
     voltage_noise_a: float = 0.0
+    voltage_noise_rad_s: float = 0.0
 
     @property
     def theta(self) -> Array:

@@ -9,6 +9,7 @@ T. Soderstrom, "Errors-in-variables methods in system identification", Automatic
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,9 @@ STEP = 5.0
 SURE = 3.0
 """Standard errors of what the current tells of a noise. What a driver really applies the current
 answers, and what a shaft really does."""
+
+LAGS = (0, -1, 1)
+"""Intervals by which readings are compared with the innovation: its own, those before and after."""
 
 FEWEST = 64
 """Samples from which that is asked."""
@@ -82,6 +86,64 @@ def rest_share(speed_rad_s: Array) -> float:
     return float(np.count_nonzero(size <= RESTS * float(size.max()))) / size.size
 
 
+Readings = tuple[Array, Array, Array, NDArray[np.bool_]]
+"""What :func:`unanswered_variance` asks for."""
+
+
+def lagged_readings(
+    voltage_v: Array, innovation_a: Array, gain_a_v: Array, is_sound: NDArray[np.bool_]
+) -> list[Readings]:
+    """Return what noise of a voltage is told by, once a lag of :data:`LAGS`.
+
+    Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one volt
+    brings to the end of its interval. The innovation there has the mean product ``-b s^2`` with
+    ``d``, and half as much, of the other sign, with those beside it.
+
+    Args:
+        voltage_v: shape (k,): of every interval.
+        innovation_a: shape (k,): what an interval adds to the residual.
+        gain_a_v: shape (k,): b.
+        is_sound: shape (k,): which intervals count.
+    """
+    difference_v = -0.5 * np.diff(voltage_v, 2)
+    is_sound = is_sound[:-2] & is_sound[1:-1] & is_sound[2:]
+    answer_a = innovation_a[1:-1]
+    gain_a_v = gain_a_v[1:-1]
+    count = difference_v.size
+    result: list[Readings] = []
+    for lag in LAGS:
+        own = slice(max(-lag, 0), count - max(lag, 0))
+        other = slice(max(lag, 0), count - max(-lag, 0))
+        share = -0.5 if lag else 1.0
+        both = is_sound[own] & is_sound[other]
+        result.append((difference_v[other], answer_a[own], share * gain_a_v[own], both))
+    return result
+
+
+def believed_variance(histories: Sequence[Sequence[Readings]]) -> float:
+    """Return the variance of a voltage's noise in V2; 0 where none is believed.
+
+    Noise is no answer to anything, so all lags tell the same. A controller answers the noise of a
+    reading of the current by a later voltage, and a voltage that acts late is answered by a later
+    current: then they do not.
+
+    Args:
+        histories: what :func:`lagged_readings` gives of every history.
+    """
+    amounts = [
+        unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+        for parts in zip(*histories, strict=True)
+    ]
+    results = [amount for amount in amounts if amount is not None]
+    if len(results) < len(LAGS):
+        return 0.0
+    (variance, error), *others = results
+    is_one = all(
+        abs(variance - other) < SURE * math.hypot(error, its_error) for other, its_error in others
+    )
+    return variance if variance > SURE * error and is_one else 0.0
+
+
 @dataclass(frozen=True)
 class VoltageNoise:
     """White noise of a window's voltages.
@@ -96,12 +158,7 @@ class VoltageNoise:
 
     @classmethod
     def from_runs(cls, white_box: MotorWhiteBox, runs: FreeRuns, logarithms: Array) -> VoltageNoise:
-        """Find the noise that the current does not answer; see :func:`unanswered_variance`.
-
-        Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one
-        volt brings to the end of its interval. The innovation there has the mean product
-        ``-b s^2`` with ``d``, whatever the values are. Where a controller answers the noise of
-        every reading that is false, and none is found.
+        """Find the noise that the current does not answer; see :func:`believed_variance`.
 
         Args:
             white_box: of one motor with a rotor.
@@ -110,19 +167,17 @@ class VoltageNoise:
         """
         if not runs.runs or runs.window.unknowns.current_sensor is not None:
             return NO_NOISE
-        parts = []
+        histories = []
         for history, path in zip(runs.window.histories, runs.runs, strict=True):
             winding = _winding(white_box, logarithms, history.interval_s)
             residual_a = history.current_a - path.states[:, State.CURRENT]
             innovation_a = residual_a[1:] - winding.decay * residual_a[:-1]
-            difference_v = -0.5 * np.diff(history.voltage_v, 2)
             is_plain = history.interval_s < MERGED * runs.window.interval_s
-            is_sound = is_plain[:-2] & is_plain[1:-1] & is_plain[2:]
-            parts.append((difference_v, innovation_a[1:-1], winding.gain_a_v[1:-1], is_sound))
-        outcome = unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
-        if outcome is None or not outcome[0] > SURE * outcome[1]:
-            return NO_NOISE
-        return cls(outcome[0], rest_share(runs.speed_rad_s))
+            histories.append(
+                lagged_readings(history.voltage_v, innovation_a, winding.gain_a_v, is_plain)
+            )
+        variance_v2 = believed_variance(histories)
+        return cls(variance_v2, rest_share(runs.speed_rad_s)) if variance_v2 else NO_NOISE
 
     def power_a2(self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> float:
         """Return the mean square of what the noise adds to a residual.
@@ -134,7 +189,13 @@ class VoltageNoise:
         """
         if self.variance_v2 == 0.0:
             return 0.0
-        return float(self._products(white_box, [logarithms], interval_s)[0, 0])
+        return float(self._products(white_box, [logarithms], interval_s)[0][0, 0])
+
+    def speed_power(self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> float:
+        """Return the mean square of what the noise adds to the speed of a rotor, in (rad/s)^2."""
+        if self.variance_v2 == 0.0:
+            return 0.0
+        return float(self._products(white_box, [logarithms], interval_s)[1][0, 0])
 
     def products(
         self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array
@@ -152,23 +213,28 @@ class VoltageNoise:
         """
         nudges = NUDGE * np.eye(logarithms.size)
         values = [logarithms, *(logarithms + nudges), *(logarithms - nudges)]
-        products = self._products(white_box, values, interval_s)
+        products, _ = self._products(white_box, values, interval_s)
         nothing = np.zeros((logarithms.size, 1))
         differences = np.hstack([nothing, nudges, -nudges]) / (2.0 * NUDGE**2)
         return -differences @ products[:, 0], differences @ products @ differences.T
 
-    def stds_v(self, interval_s: Array) -> Array:
+    def stds_v(self, interval_s: Array, usual_s: float) -> Array:
         """Return the standard deviations of the voltages of intervals, shape (k,).
 
         Args:
             interval_s: shape (k,): those that are longer than usual are of merged samples, whose
                 voltage is a mean.
+            usual_s: interval of samples that are not merged.
         """
-        usual_s = float(median(interval_s[interval_s > 0.0]))
         return np.sqrt(self.variance_v2 / np.maximum(interval_s / usual_s, 1.0))
 
     def moves(
-        self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array, slopes: Array
+        self,
+        white_box: MotorWhiteBox,
+        logarithms: Array,
+        interval_s: Array,
+        usual_s: float,
+        slopes: Array,
     ) -> Array:
         """Return how far one standard deviation of noise in every interval moves sums of slopes.
 
@@ -178,6 +244,7 @@ class VoltageNoise:
             white_box: of one motor with a rotor.
             logarithms: shape (parameter,): its values.
             interval_s: shape (k,): of a history.
+            usual_s: interval of samples that are not merged.
             slopes: shape (k + 1, column): weighted, of the current at its samples.
 
         Returns:
@@ -188,7 +255,7 @@ class VoltageNoise:
         factor = np.concatenate([winding.decay[1:], [0.0]])[None, ::-1]
         start = np.zeros((slopes.shape[1], 1))
         sums = recurrence(factor, inputs, start)[:, 0, :0:-1].T
-        result: Array = (self.stds_v(interval_s) * winding.gain_a_v)[:, None] * sums
+        result: Array = (self.stds_v(interval_s, usual_s) * winding.gain_a_v)[:, None] * sums
         return result
 
     def innovation(
@@ -232,17 +299,24 @@ class VoltageNoise:
         predicted_a2 = half + math.sqrt(half * half + added_a2 * own_a2)
         return decay * own_a2 / (predicted_a2 + own_a2)
 
-    def _products(self, white_box: MotorWhiteBox, values: list[Array], interval_s: Array) -> Array:
-        """Return mean products of what the noise adds at two values each, (value, value), in A2."""
+    def _products(
+        self, white_box: MotorWhiteBox, values: list[Array], interval_s: Array
+    ) -> tuple[Array, Array]:
+        """Return mean products of what the noise adds at two values each, (value, value).
+
+        Those of the current come first, in A2, then those of the speed, in (rad/s)^2.
+        """
         lengths_s, variances_v2 = self._by_length(interval_s)
-        products = np.zeros((len(values), len(values)))
+        of_current = np.zeros((len(values), len(values)))
+        of_speed = np.zeros_like(of_current)
         for is_held, share in ((False, 1.0 - self.held_share), (True, self.held_share)):
             if share > 0.0:
                 responses = VoltageResponses.of_values(
                     white_box, values, lengths_s, is_held=is_held
                 )
-                products += share * responses.products @ variances_v2
-        return products
+                of_current += share * responses.current_products @ variances_v2
+                of_speed += share * responses.speed_products @ variances_v2
+        return of_current, of_speed
 
     def _by_length(self, interval_s: Array) -> tuple[Array, Array]:
         """Return the lengths of intervals in s, and variances in V2 by their shares.

@@ -1,4 +1,4 @@
-"""How the current of a motor with a rotor answers small voltages that last for one interval."""
+"""How current and speed of a motor answer small voltages that last for one interval."""
 
 from __future__ import annotations
 
@@ -42,17 +42,19 @@ class Winding:
 
 @dataclass(frozen=True, eq=False)
 class VoltageResponses:
-    """What a volt in one interval leaves in the current of the samples after it, of several motors.
+    """What a volt in one interval leaves in the samples after it, of several motors.
 
     That is a sum of ``size rate^j`` at the j-th one, where all intervals are as long.
 
     Attributes:
         rates: shape (motor, term, length): of intervals of several lengths.
-        sizes_a_v: shape (motor, term, length).
+        currents_a_v: shape (motor, term, length): sizes of the current.
+        speeds_rad_s_v: shape (motor, term, length): those of the speed.
     """
 
     rates: NDArray[np.complex128]
-    sizes_a_v: NDArray[np.complex128]
+    currents_a_v: NDArray[np.complex128]
+    speeds_rad_s_v: NDArray[np.complex128]
 
     @classmethod
     def of_values(
@@ -66,41 +68,57 @@ class VoltageResponses:
         """Return those of a motor at several values.
 
         Args:
-            white_box: of one motor with a rotor.
+            white_box: of one motor; with a rotor where that is not held.
             logarithms: shape (parameter,) each.
             interval_s: shape (length,).
             is_held: whether the friction holds the rotor; else it keeps its sign.
         """
         modes_of = _modes_of_held if is_held else _modes
         modes = np.array([modes_of(white_box, at) for at in logarithms])
-        poles = modes[:, 0, :, None]
-        residues = modes[:, 1, :, None]
+        poles, currents, speeds = modes.swapaxes(0, 1)[..., None]
         exponents = poles * interval_s
-        return cls(np.exp(exponents), residues / poles * np.expm1(exponents))
+        reach_s = np.expm1(exponents) / poles
+        return cls(np.exp(exponents), currents * reach_s, speeds * reach_s)
 
     @property
-    def products(self) -> Array:
-        """Sums of the products of two of them over all samples after, (motor, motor, length)."""
-        sizes = self.sizes_a_v[:, None, :, None] * self.sizes_a_v[None, :, None]
+    def current_products(self) -> Array:
+        """Sums over all samples after of the products of two currents, (motor, motor, length)."""
+        return self._products(self.currents_a_v)
+
+    @property
+    def speed_products(self) -> Array:
+        """The same of the speeds."""
+        return self._products(self.speeds_rad_s_v)
+
+    def _products(self, sizes: NDArray[np.complex128]) -> Array:
         rates = self.rates[:, None, :, None] * self.rates[None, :, None]
-        return np.asarray((sizes / (1.0 - rates)).sum(axis=(2, 3)).real)
+        terms = sizes[:, None, :, None] * sizes[None, :, None] / (1.0 - rates)
+        return np.asarray(terms.sum(axis=(2, 3)).real)
 
 
 def _modes(white_box: MotorWhiteBox, logarithms: Array) -> NDArray[np.complex128]:
-    """Return poles in 1/s and residues in A/(V s) of current by voltage, shape (2, term)."""
+    """Return poles in 1/s and residues by voltage, shape (3, term).
+
+    These are of the current in A/(V s), and of the speed in rad/(V s2).
+    """
     values = white_box.values(np.exp(logarithms))
     inverse_h = 1.0 / values['inductance']
-    stiffness = float(white_box.torque_constant) * values['back_emf_constant']
+    torque_constant = float(white_box.torque_constant)
+    stiffness = torque_constant * values['back_emf_constant']
     damping = values.get('viscous_friction', 0.0) / values['inertia']
     mean = 0.5 * (values['resistance'] * inverse_h + damping)
     product = (values['resistance'] * damping + stiffness / values['inertia']) * inverse_h
     root = np.sqrt(complex(mean * mean * (1.0 + APART) - product))
     poles = np.array([-mean - root, -product / (mean + root)])
-    return np.array([poles, inverse_h * (poles + damping) / (poles - poles[::-1])])
+    shares = inverse_h / (poles - poles[::-1])
+    return np.array(
+        [poles, shares * (poles + damping), shares * torque_constant / values['inertia']]
+    )
 
 
 def _modes_of_held(white_box: MotorWhiteBox, logarithms: Array) -> NDArray[np.complex128]:
     """Return the same where the rotor is held: the winding alone answers."""
     values = white_box.values(np.exp(logarithms))
     inverse_h = 1.0 / values['inductance']
-    return np.array([[-values['resistance'] * inverse_h], [inverse_h]], dtype=complex)
+    pole = -values['resistance'] * inverse_h
+    return np.array([[pole], [inverse_h], [0.0]], dtype=complex)

@@ -15,6 +15,7 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY, Search, SearchEnd
 from gray_box_observer.white_box.interface import Array
@@ -39,6 +40,15 @@ STUCK = 2.0
 """Gain of chi-square that the equations promise, and no step brings, from which a search has ended
 before a kink: where a rotor turns or is held, a sample can stand in the way."""
 
+MOST_NOISES = 3
+"""Fits at most in which the noise of a voltage settles."""
+
+SAME_NOISE = 1.3
+"""Factor between two variances of it that are the same."""
+
+TOO_MUCH = 1.1
+"""Times the noise of a fit that the voltage's may make of it, at most."""
+
 DISTINCT = 1.0
 """Standard deviations from which two ends of a search are two."""
 
@@ -50,6 +60,7 @@ def fit_window(
     starts: Sequence[Array],
     *,
     tries_others: bool = True,
+    noise_before: VoltageNoise = NO_NOISE,
 ) -> Pieces[Fit | None]:
     """Fit the context nodes to a window; None where no start can be run.
 
@@ -60,10 +71,53 @@ def fit_window(
         starts: shape (parameter,) each: where to search from; the best few of many are taken.
         tries_others: whether other inductances are tried where the current settles within a few
             samples.
+        noise_before: of the voltage, as the fit before has left it.
+
+    What noise of a measured voltage does is known once the motor is, about. So a fit that shows
+    such noise is done again, and what the noise does is taken off. Where that fit does not show it,
+    there is none.
     """
+    noise = noise_before
+    if noise is NO_NOISE:
+        plain = yield from _fitted(white_box, window, prior, starts, tries_others=tries_others)
+        if plain is None:
+            return None
+        noise = VoltageNoise.from_runs(white_box, plain.runs, plain.logarithms)
+        if noise is NO_NOISE:
+            return plain
+        starts = [*starts, plain.theta]
+    fit = None
+    for _ in range(MOST_NOISES):
+        fit = yield from _fitted(white_box, window, prior, starts, noise, tries_others=tries_others)
+        if fit is None:
+            break
+        before = noise
+        noise = VoltageNoise.from_runs(white_box, fit.runs, fit.logarithms)
+        if noise is NO_NOISE:
+            break
+        if 1.0 / SAME_NOISE < noise.variance_v2 / before.variance_v2 < SAME_NOISE:
+            return fit
+        starts = [fit.theta]
+    if fit is not None and noise is not NO_NOISE:
+        return fit
+    if noise_before is NO_NOISE:
+        return plain
+    return (yield from _fitted(white_box, window, prior, starts, tries_others=tries_others))
+
+
+def _fitted(
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    noise: VoltageNoise = NO_NOISE,
+    *,
+    tries_others: bool,
+) -> Pieces[Fit | None]:
+    """Fit beside a noise of the voltage that is known; see :func:`fit_window`."""
     searches = []
     for start in starts:
-        search = Search(white_box, window, prior, np.log(start))
+        search = Search(white_box, window, prior, np.log(start), noise)
         yield from search.settle()
         if search.is_valid:
             searches.append(search)
@@ -78,9 +132,11 @@ def fit_window(
     yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
     if tries_others:
         yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
-    noise = min(end.fit.noise_a for end in ends)
-    fits = [end.fit for end in ends]
-    fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
+    fits = [end.fit for end in ends if end.fit.voltage_noise_a <= TOO_MUCH * end.fit.noise_a]
+    if not fits:
+        return None
+    noise_a = min(fit.noise_a for fit in fits)
+    fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise_a) ** 2 + _size(fit))
     best, *others = fits
     worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
     return with_rivals(best, others, worse, prior)
@@ -91,7 +147,7 @@ def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     start = best.search
     if start.promised_gain < STUCK:
         return
-    search = Search(start.white_box, start.window, start.prior, start.beyond)
+    search = Search(start.white_box, start.window, start.prior, start.beyond, start.noise)
     yield from search.settle()
     if search.is_valid:
         end = yield from search.run(ends)
@@ -108,7 +164,7 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     for factor in OTHERS:
         neighbour = best.fit.logarithms.copy()
         neighbour[nodes.index('inductance')] += np.log(factor)
-        search = Search(last.white_box, last.window, last.prior, neighbour)
+        search = Search(last.white_box, last.window, last.prior, neighbour, last.noise)
         yield from search.settle()
         if search.is_valid:
             end = yield from search.run(ends)
@@ -195,11 +251,13 @@ def _searched(search: Search, ends: Sequence[SearchEnd]) -> Pieces[SearchEnd | N
     if search.window.current_a.size > 2 * SHORT and search.scale_a > 0.1 * search.window.spread_a:
         short = search.window.tail(SHORT)
         if short.current_a.size == SHORT:
-            near = Search(search.white_box, short, search.prior, search.logarithms)
+            near = Search(search.white_box, short, search.prior, search.logarithms, search.noise)
             yield from near.settle()
             if near.is_valid:
                 yield from near.descend(ROUGHLY)
-                again = Search(search.white_box, search.window, search.prior, near.logarithms)
+                again = Search(
+                    search.white_box, search.window, search.prior, near.logarithms, search.noise
+                )
                 yield from again.settle()
                 search = again if again.is_valid and again.scale_a < search.scale_a else search
     return (yield from search.run(ends))

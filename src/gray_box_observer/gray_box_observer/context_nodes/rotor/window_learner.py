@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import differenc
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window
@@ -77,6 +78,7 @@ class WindowLearner:
         covariance: shape (parameter, parameter): of these.
         share, reach: shape (parameter,): voltage shares, and their 3-sigma bound.
         noise_a: standard deviation of the current's noise; 0 before the first fit.
+        voltage_noise: of a measured voltage, as the newest fit has found it.
         memory: what full windows have told; None before the first one.
         is_settled: whether the motor is explained.
         has_rivals: whether other ends explain the samples as well.
@@ -116,6 +118,7 @@ class WindowLearner:
         self.share = np.zeros_like(theta)
         self.reach = np.zeros_like(theta)
         self.noise_a = 0.0
+        self.voltage_noise = NO_NOISE
         self.is_settled = False
         self.has_rivals = True
         self.is_new_motor = False
@@ -167,6 +170,7 @@ class WindowLearner:
             self.share = np.zeros_like(prior)
             self.reach = np.zeros_like(prior)
         self.noise_a = fit.noise_a
+        self.voltage_noise = fit.voltage_noise
         self.has_rivals = bool(fit.spread.any())
         if self.is_settled and is_full:
             self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
@@ -186,7 +190,14 @@ class WindowLearner:
         """Search from where the motor stands, and elsewhere where that was not the only end."""
         box = self._white_box
         starts = [self.theta]
-        return fit_window(box, window, self._prior(), starts, tries_others=self.has_rivals)
+        return fit_window(
+            box,
+            window,
+            self._prior(),
+            starts,
+            tries_others=self.has_rivals,
+            noise_before=self.voltage_noise,
+        )
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.
@@ -297,6 +308,9 @@ class WindowLearner:
             'logarithms': self.logarithms.copy(),
             'covariance': self.covariance.copy(),
             'noise': np.array([self.noise_a]),
+            'voltage_noise': np.array(
+                [self.voltage_noise.variance_v2, self.voltage_noise.held_share]
+            ),
             'memory_mean': memory.mean.copy(),
             'memory_precision': memory.precision.copy(),
             'share': self.share.copy(),
@@ -310,6 +324,9 @@ class WindowLearner:
         self.logarithms = arrays['logarithms']
         self.covariance = arrays['covariance']
         self.noise_a = float(arrays['noise'][0])
+        self.voltage_noise = NO_NOISE
+        if 'voltage_noise' in arrays and arrays['voltage_noise'][0] > 0.0:  # not of early releases
+            self.voltage_noise = VoltageNoise(*arrays['voltage_noise'].tolist())
         self.share = arrays['share']
         self.reach = arrays['reach']
         self.memory = None
@@ -333,6 +350,8 @@ class WindowLearner:
             'share': ArrayRule((n,), 0.0),
             'reach': ArrayRule((n,), 0.0, endless=True),
         }
+        if 'voltage_noise' in arrays:  # not in files of early releases
+            rules['voltage_noise'] = ArrayRule((2,), 0.0)
         check_arrays(arrays, rules)
         check_covariance('covariance', arrays['covariance'])
         check_covariance('memory_precision', arrays['memory_precision'])

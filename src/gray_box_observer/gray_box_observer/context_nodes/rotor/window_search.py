@@ -128,6 +128,7 @@ class Search:
     """Damped Gauss-Newton from one start.
 
     Attributes:
+        noise: of the voltage, that the current does not answer: what it does is taken off.
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
         promised_gain: of chi-square by the last step that was tried, if all were straight.
@@ -135,9 +136,15 @@ class Search:
     """
 
     def __init__(
-        self, white_box: MotorWhiteBox, window: Window, prior: LogPrior, logarithms: Array
+        self,
+        white_box: MotorWhiteBox,
+        window: Window,
+        prior: LogPrior,
+        logarithms: Array,
+        noise: VoltageNoise = NO_NOISE,
     ) -> None:
         self.white_box = white_box
+        self.noise = noise
         self.window = window
         self.prior = prior
         lower, upper = bounds(white_box.parameters)
@@ -157,7 +164,6 @@ class Search:
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
         self._runs: FreeRuns | None = None
-        self._noise = NO_NOISE
         self.scale_a = np.inf
 
     def _within_bounds(self, logarithms: Array) -> Array:
@@ -305,17 +311,21 @@ class Search:
         )
 
     def _cost_of_noise(self, residual: Array, scale: float, logarithms: Array) -> float:
-        """Return what noise of the voltage adds to the cost; endless where it is not believed."""
-        if self._noise is NO_NOISE:
+        """Return what noise of the voltage adds to the cost; where it is not believed, -inf."""
+        if self.noise is NO_NOISE:
             return 0.0
         power = self._power_of_noise(logarithms)
-        if power > (MOST_SHARE * self.window.spread_a) ** 2:
+        if power > (MOST_SHARE * self.window.spread_a) ** 2:  # nobody would believe that
             return -np.inf
         return float(residual[self._currents].size * power / scale**2)
 
     def _power_of_noise(self, logarithms: Array) -> float:
         """Return the mean square of what noise of the voltage adds to the current's residual."""
-        return self._noise.power_a2(self.white_box, logarithms, self.window.intervals_s)
+        return self.noise.power_a2(self.white_box, logarithms, self.window.intervals_s)
+
+    def _speed_power_of_noise(self, logarithms: Array) -> float:
+        """Return the same of the speed's, in (rad/s)^2."""
+        return self.noise.speed_power(self.white_box, logarithms, self.window.intervals_s)
 
     def _equations(self, weights: Array, scale: float) -> Equations:
         equations = Equations.from_runs(
@@ -324,9 +334,9 @@ class Search:
             self._start_precision,
             start_mean(self.window, self.starts) - self.starts,
         )
-        if self._noise is NO_NOISE:
+        if self.noise is NO_NOISE:
             return equations
-        products = self._noise.products(self.white_box, self.logarithms, self.window.intervals_s)
+        products = self.noise.products(self.white_box, self.logarithms, self.window.intervals_s)
         total = float(weights[self._currents].sum()) / scale**2
         return equations.compensated(*(total * one for one in products))
 
@@ -353,7 +363,6 @@ class Search:
         """Step until nothing moves; tell whether that is where another search has ended."""
         damping = 1e-3
         idle = 0
-        self._noise = VoltageNoise.from_runs(self.white_box, self._at, self.logarithms)
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -430,7 +439,7 @@ class Search:
             runs, starts = yield from self._run_after(logarithms, starts, promised_gain, attempt)
             if runs is not None:
                 after = self._total(runs.residual_a, self.scale_a, logarithms, starts)
-                if after <= total + 1e-9 * abs(total):
+                if np.isfinite(after) and after <= total + 1e-9 * abs(total):
                     self.logarithms = logarithms
                     self.starts = starts
                     self._runs = runs
@@ -451,11 +460,11 @@ class Search:
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
-        if self._noise is not NO_NOISE and np.isfinite(information).all():
+        if self.noise is not NO_NOISE and np.isfinite(information).all():
             information = self._information_in_noise(equations, weights, noise)
-        if not np.isfinite(information).all():
-            return None
         chi_square = self._total(residual, noise, self.logarithms, self.starts)
+        if not (np.isfinite(information).all() and np.isfinite(chi_square)):
+            return None
         nothing = np.zeros_like(information)
         return Fit(
             self.logarithms,
@@ -466,8 +475,9 @@ class Search:
             chi_square,
             self.starts,
             self._at,
-            self._noise,
+            self.noise,
             float(np.sqrt(self._power_of_noise(self.logarithms))),
+            float(np.sqrt(self._speed_power_of_noise(self.logarithms))),
         )
 
     def _information_in_noise(self, equations: Equations, weights: Array, noise: float) -> Array:
@@ -489,8 +499,12 @@ class Search:
             own_slopes *= weights[readings, None] / noise**2
             of_current = own_slopes[: history.current_a.size]
             of_speed = own_slopes[history.current_a.size :]  # in the unit of all of the noise
-            moves = self._noise.moves(
-                self.white_box, self.logarithms, history.interval_s, of_current
+            moves = self.noise.moves(
+                self.white_box,
+                self.logarithms,
+                history.interval_s,
+                self.window.interval_s,
+                of_current,
             )
             covariance += own_a2 * of_current.T @ of_current
             covariance += noise**2 * of_speed.T @ of_speed + moves.T @ moves
