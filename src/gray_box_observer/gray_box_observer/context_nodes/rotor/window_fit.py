@@ -46,9 +46,6 @@ MOST_NOISES = 3
 SAME_NOISE = 1.3
 """Factor between two variances of it that are the same."""
 
-CLEARLY = 25.0
-"""Log-likelihood by which a fit that knows of noise must be better, or must not be worse."""
-
 TOO_MUCH = 1.1
 """Times the noise of a fit that the voltage's may make of it, at most."""
 
@@ -76,79 +73,36 @@ def fit_window(
             samples.
         noise_before: of the voltage, as the fit before has left it.
 
-    Noise of a measured voltage is looked for where the motor is known, about: where a fit without
-    it has ended. Far too large an inductance hides it there. So a fit that leaves more than the
-    noise of the readings asks its starts, too. Then the window is fitted again, and what the noise
-    does is taken off.
+    What noise of a measured voltage does is known once the motor is, about. So a fit that shows
+    such noise is done again, and what the noise does is taken off. Where that fit does not show it,
+    there is none.
     """
-    if noise_before is not NO_NOISE:
-        fit = yield from _fitted_beside(
-            white_box, window, prior, starts, noise_before, tries_others=tries_others
-        )
-        if fit is not None:
-            return fit
-    plain = yield from _fitted(white_box, window, prior, starts, tries_others=tries_others)
-    if plain is None:
-        return None
-    noise = VoltageNoise.from_runs(white_box, plain.runs, plain.logarithms)
-    least_gain = -CLEARLY
-    if noise is NO_NOISE and _leaves_much(plain):
-        noise = yield from _noise_at(white_box, window, prior, starts)
-        least_gain = CLEARLY
+    noise = noise_before
     if noise is NO_NOISE:
-        return plain
-    fit = yield from _fitted_beside(
-        white_box, window, prior, [*starts, plain.theta], noise, tries_others=tries_others
-    )
-    is_better = fit is not None and 0.5 * (_size(plain) - _size(fit)) > least_gain
-    return fit if is_better else plain
-
-
-def _leaves_much(fit: Fit) -> bool:
-    """Tell whether a fit leaves clearly more than the noise of the readings."""
-    own_a = max(difference_noise(fit.runs.window.current_a), fit.least_noise_a)
-    return fit.runs.residual_a.size * math.log(fit.noise_a / own_a) > CLEARLY
-
-
-def _noise_at(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, starts: Sequence[Array]
-) -> Pieces[VoltageNoise]:
-    """Return the noise of the voltage that most starts show: the middle one of all they show."""
-    noises = []
-    for start in starts:
-        search = Search(white_box, window, prior, np.log(start))
-        yield from search.settle()
-        if search.runs is not None:
-            noises.append(VoltageNoise.from_runs(white_box, search.runs, search.logarithms))
-    noises = sorted(
-        (noise for noise in noises if noise is not NO_NOISE), key=lambda noise: noise.variance_v2
-    )
-    return noises[len(noises) // 2] if noises else NO_NOISE
-
-
-def _fitted_beside(
-    white_box: MotorWhiteBox,
-    window: Window,
-    prior: LogPrior,
-    starts: Sequence[Array],
-    noise: VoltageNoise,
-    *,
-    tries_others: bool,
-) -> Pieces[Fit | None]:
-    """Fit until the noise of the voltage is that of the fit; None where the fit shows none."""
+        plain = yield from _fitted(white_box, window, prior, starts, tries_others=tries_others)
+        if plain is None:
+            return None
+        noise = VoltageNoise.from_runs(white_box, plain.runs, plain.logarithms)
+        if noise is NO_NOISE:
+            return plain
+        starts = [*starts, plain.theta]
     fit = None
     for _ in range(MOST_NOISES):
         fit = yield from _fitted(white_box, window, prior, starts, noise, tries_others=tries_others)
         if fit is None:
-            return None
+            break
         before = noise
         noise = VoltageNoise.from_runs(white_box, fit.runs, fit.logarithms)
         if noise is NO_NOISE:
-            return None
-        if 1.0 / SAME_NOISE < noise.variance_v2 / before.variance_v2 < SAME_NOISE:
             break
+        if 1.0 / SAME_NOISE < noise.variance_v2 / before.variance_v2 < SAME_NOISE:
+            return fit
         starts = [fit.theta]
-    return fit
+    if fit is not None and noise is not NO_NOISE:
+        return fit
+    if noise_before is NO_NOISE:
+        return plain
+    return (yield from _fitted(white_box, window, prior, starts, tries_others=tries_others))
 
 
 def _fitted(
