@@ -227,11 +227,22 @@ def analyse(
     lag_s: float = 0.0,
     measured_rad_s: Array | None = None,
     late_instant: LateInstant | None = None,
+    *,
+    knows_voltage_noise: bool = False,
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor, at once; see :func:`analysis_in_pieces`."""
     return completed(
         analysis_in_pieces(
-            white_box, p, stretch, is_drifting, earlier, new, lag_s, measured_rad_s, late_instant
+            white_box,
+            p,
+            stretch,
+            is_drifting,
+            earlier,
+            new,
+            lag_s,
+            measured_rad_s,
+            late_instant,
+            knows_voltage_noise=knows_voltage_noise,
         )
     )
 
@@ -265,8 +276,7 @@ def analysis_in_pieces(
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
             that acts late; None: nothing.
         speed_is_guess: whether a rotor may turn though the speed is taken for Kt i.
-        knows_voltage_noise: whether the fit has taken off what noise of the voltage does, as it
-            does for a rotor whose speed nobody measures.
+        knows_voltage_noise: whether the fit has taken off what noise of the voltage does.
     """
     work = stretch.state.size
     if white_box.has_rotor:
@@ -277,7 +287,7 @@ def analysis_in_pieces(
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     theta = to_parameters(p)[0]
-    if (white_box.has_rotor and not white_box.load_varies) or knows_voltage_noise:
+    if knows_voltage_noise:
         run = with_voltage_noise(white_box, theta, run)
     floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)

@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import MeasuredSpeedUpdate, speed_readings
+from gray_box_observer.context_nodes import (
+    MeasuredSpeedUpdate,
+    RotorUpdate,
+    speed_readings,
+)
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
@@ -123,8 +127,7 @@ class MotorUnderTest:
             samples are free of it: the search for a delay finds that.
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
             that acts late; None: nothing.
-        knows_voltage_noise: beside a measured speed, whether that fit has taken off what noise of
-            the voltage does.
+        knows_voltage_noise: whether its fit has taken off what noise of the voltage does.
     """
 
     estimate: Estimate
@@ -190,7 +193,7 @@ class MotorUnderTest:
             readings,
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
-            isinstance(nodes, MeasuredSpeedUpdate) and nodes.knows_voltage_noise,
+            knows_voltage_noise(nodes),
         )
 
     def snapshot(self) -> MotorUnderTest:
@@ -572,6 +575,11 @@ class WindowTest:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
         remedy = load_remedy(*filter(self.configuration.has_value, LOADS))
         return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
+
+
+def knows_voltage_noise(nodes: ContextUpdate) -> bool:
+    """Tell whether the newest fit of a rule has taken off what noise of the voltage does."""
+    return isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.knows_voltage_noise
 
 
 def _clearest(candidates: Mapping[str, Explanation]) -> float:

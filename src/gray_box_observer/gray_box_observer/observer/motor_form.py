@@ -23,6 +23,7 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
+from gray_box_observer.fit_test.window_test import knows_voltage_noise
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
@@ -276,5 +277,10 @@ def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: 
     if white_box.load_varies:  # its analysis costs too much to be done at once
         run = rotor_free_run(white_box, to_coordinates(context_nodes.theta), stretch)
         return float(np.sqrt(np.mean(run.residual_a**2)))
-    analysis = analyse(white_box, to_coordinates(context_nodes.theta), stretch)
+    analysis = analyse(
+        white_box,
+        to_coordinates(context_nodes.theta),
+        stretch,
+        knows_voltage_noise=knows_voltage_noise(context_nodes),
+    )
     return analysis.ratio * analysis.floor_a

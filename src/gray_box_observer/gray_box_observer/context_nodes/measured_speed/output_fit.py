@@ -35,7 +35,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
     walk_of_load,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
@@ -383,7 +383,6 @@ class FitBefore:
         unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
         has_rivals: whether other ends were as likely.
         sensor: of the current, where it lags; None: it does not.
-        noise: of the voltage.
     """
 
     theta: Array
@@ -391,14 +390,12 @@ class FitBefore:
     unit_a_s: float
     has_rivals: bool
     sensor: CurrentSensor | None = None
-    noise: VoltageNoise = NO_NOISE
 
     @classmethod
     def from_fit(cls, fit: OutputFit) -> FitBefore:
         """Return what a fit of a part of the window has left."""
         has_rivals = bool(fit.fit.spread.any())
-        noise = fit.fit.voltage_noise
-        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, fit.sensor, noise)
+        return cls(fit.fit.theta, fit.walk, fit.noise.unit_a_s, has_rivals, fit.sensor)
 
 
 def fit_outputs_again(
@@ -446,15 +443,11 @@ def _settled(
     output = SpeedOutput(last_fit.unit_a_s if last_fit is not None and is_known else floor.unit_a_s)
     tries_others = last_fit is None or last_fit.has_rivals
     sensor = None if last_fit is None else last_fit.sensor
-    noise = NO_NOISE if last_fit is None else last_fit.noise
     for _ in range(ROUNDS):
         window = replace(window, unknowns=Unknowns(output, current_sensor=sensor))
-        fit = yield from fit_window(
-            white_box, window, prior, starts, tries_others=tries_others, noise_before=noise
-        )
+        fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
         if fit is None:
             return result
-        noise = fit.voltage_noise
         before = result
         result = _result(fit, window, floor)
         if not result.is_within(HOPELESS) or (stops_at_lead and result.speed_leads):

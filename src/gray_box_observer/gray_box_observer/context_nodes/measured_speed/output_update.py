@@ -161,14 +161,7 @@ class OutputLearner(WindowLearner):
         return self._noted(part_fit) if whole is None else whole
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
-        before = FitBefore(
-            self.theta,
-            self.walk,
-            self.unit_a_s,
-            self.has_rivals,
-            self.sensor,
-            self.voltage_noise,
-        )
+        before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
         fit = yield from fit_outputs_again(self._white_box, window, prior, before)
         if fit is not None and fit.current_lag_s < LESS_LAG * self.current_lag_s:

@@ -52,6 +52,8 @@ class LoadedSearch(Search):
             None: they are looked for.
     """
 
+    looks_for_noise = False
+
     def __init__(
         self,
         white_box: MotorWhiteBox,

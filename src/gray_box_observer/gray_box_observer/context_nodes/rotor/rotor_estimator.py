@@ -38,6 +38,7 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite
 from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
     AGAIN,
@@ -130,6 +131,11 @@ class RotorUpdate:
     def changed(self) -> NDArray[np.bool_]:
         """Whose estimate the last sample has changed: that of the one motor there is."""
         return np.ones(1, dtype=bool)
+
+    @property
+    def knows_voltage_noise(self) -> bool:
+        """Whether the newest fit has taken off what noise of the voltage does."""
+        return self._learner.voltage_noise is not NO_NOISE
 
     @property
     def noise_a(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY, Search, SearchEnd
 from gray_box_observer.white_box.interface import Array
@@ -40,11 +40,8 @@ STUCK = 2.0
 """Gain of chi-square that the equations promise, and no step brings, from which a search has ended
 before a kink: where a rotor turns or is held, a sample can stand in the way."""
 
-MOST_NOISES = 3
-"""Fits at most in which the noise of a voltage settles."""
-
-SAME_NOISE = 1.3
-"""Factor between two variances of it that are the same."""
+CLEARLY = 25.0
+"""Log-likelihood by which a fit leaves clearly more than another one."""
 
 TOO_MUCH = 1.1
 """Times the noise of a fit that the voltage's may make of it, at most."""
@@ -60,7 +57,6 @@ def fit_window(
     starts: Sequence[Array],
     *,
     tries_others: bool = True,
-    noise_before: VoltageNoise = NO_NOISE,
 ) -> Pieces[Fit | None]:
     """Fit the context nodes to a window; None where no start can be run.
 
@@ -71,53 +67,13 @@ def fit_window(
         starts: shape (parameter,) each: where to search from; the best few of many are taken.
         tries_others: whether other inductances are tried where the current settles within a few
             samples.
-        noise_before: of the voltage, as the fit before has left it.
 
-    What noise of a measured voltage does is known once the motor is, about. So a fit that shows
-    such noise is done again, and what the noise does is taken off. Where that fit does not show it,
-    there is none.
+    Where the best end knows of noise of the voltage, and one beside it without any leaves no more
+    than the noise of the readings, there is none: the current answers what seemed to be noise.
     """
-    noise = noise_before
-    if noise is NO_NOISE:
-        plain = yield from _fitted(white_box, window, prior, starts, tries_others=tries_others)
-        if plain is None:
-            return None
-        noise = VoltageNoise.from_runs(white_box, plain.runs, plain.logarithms)
-        if noise is NO_NOISE:
-            return plain
-        starts = [*starts, plain.theta]
-    fit = None
-    for _ in range(MOST_NOISES):
-        fit = yield from _fitted(white_box, window, prior, starts, noise, tries_others=tries_others)
-        if fit is None:
-            break
-        before = noise
-        noise = VoltageNoise.from_runs(white_box, fit.runs, fit.logarithms)
-        if noise is NO_NOISE:
-            break
-        if 1.0 / SAME_NOISE < noise.variance_v2 / before.variance_v2 < SAME_NOISE:
-            return fit
-        starts = [fit.theta]
-    if fit is not None and noise is not NO_NOISE:
-        return fit
-    if noise_before is NO_NOISE:
-        return plain
-    return (yield from _fitted(white_box, window, prior, starts, tries_others=tries_others))
-
-
-def _fitted(
-    white_box: MotorWhiteBox,
-    window: Window,
-    prior: LogPrior,
-    starts: Sequence[Array],
-    noise: VoltageNoise = NO_NOISE,
-    *,
-    tries_others: bool,
-) -> Pieces[Fit | None]:
-    """Fit beside a noise of the voltage that is known; see :func:`fit_window`."""
     searches = []
     for start in starts:
-        search = Search(white_box, window, prior, np.log(start), noise)
+        search = Search(white_box, window, prior, np.log(start))
         yield from search.settle()
         if search.is_valid:
             searches.append(search)
@@ -138,8 +94,28 @@ def _fitted(
     noise_a = min(fit.noise_a for fit in fits)
     fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise_a) ** 2 + _size(fit))
     best, *others = fits
+    if best.voltage_noise is not NO_NOISE:
+        plain = yield from search_from(white_box, window, prior, best.theta, looks_for_noise=False)
+        if plain is not None and _explains_more(plain, best):
+            return plain
     worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
     return with_rivals(best, others, worse, prior)
+
+
+def _explains_more(plain: Fit, aware: Fit) -> bool:
+    """Tell whether a fit without noise of the voltage leaves no more than that of the readings.
+
+    It has to leave clearly less than the fit that knows of noise: of a current that moves at every
+    sample the noise of the readings is hardly known.
+
+    Args:
+        plain: that without.
+        aware: that with.
+    """
+    count = plain.runs.residual_a.size
+    own_a = max(difference_noise(plain.runs.window.current_a), plain.least_noise_a)
+    leaves_much = count * math.log(plain.noise_a / own_a) > CLEARLY
+    return not leaves_much and count * math.log(aware.noise_a / plain.noise_a) > CLEARLY
 
 
 def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
@@ -147,7 +123,7 @@ def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     start = best.search
     if start.promised_gain < STUCK:
         return
-    search = Search(start.white_box, start.window, start.prior, start.beyond, start.noise)
+    search = Search(start.white_box, start.window, start.prior, start.beyond)
     yield from search.settle()
     if search.is_valid:
         end = yield from search.run(ends)
@@ -164,7 +140,7 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     for factor in OTHERS:
         neighbour = best.fit.logarithms.copy()
         neighbour[nodes.index('inductance')] += np.log(factor)
-        search = Search(last.white_box, last.window, last.prior, neighbour, last.noise)
+        search = Search(last.white_box, last.window, last.prior, neighbour)
         yield from search.settle()
         if search.is_valid:
             end = yield from search.run(ends)
@@ -198,10 +174,16 @@ def _size(fit: Fit) -> float:
 
 
 def search_from(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, start: Array
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    start: Array,
+    *,
+    looks_for_noise: bool = True,
 ) -> Pieces[Fit | None]:
     """Fit a window from one start alone; None where it cannot be run. See :func:`fit_window`."""
     search = Search(white_box, window, prior, np.log(start))
+    search.looks_for_noise &= looks_for_noise
     yield from search.settle()
     if not search.is_valid:
         return None
@@ -251,13 +233,11 @@ def _searched(search: Search, ends: Sequence[SearchEnd]) -> Pieces[SearchEnd | N
     if search.window.current_a.size > 2 * SHORT and search.scale_a > 0.1 * search.window.spread_a:
         short = search.window.tail(SHORT)
         if short.current_a.size == SHORT:
-            near = Search(search.white_box, short, search.prior, search.logarithms, search.noise)
+            near = Search(search.white_box, short, search.prior, search.logarithms)
             yield from near.settle()
             if near.is_valid:
                 yield from near.descend(ROUGHLY)
-                again = Search(
-                    search.white_box, search.window, search.prior, near.logarithms, search.noise
-                )
+                again = Search(search.white_box, search.window, search.prior, near.logarithms)
                 yield from again.settle()
                 search = again if again.is_valid and again.scale_a < search.scale_a else search
     return (yield from search.run(ends))

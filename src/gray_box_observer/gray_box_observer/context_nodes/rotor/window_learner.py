@@ -190,14 +190,7 @@ class WindowLearner:
         """Search from where the motor stands, and elsewhere where that was not the only end."""
         box = self._white_box
         starts = [self.theta]
-        return fit_window(
-            box,
-            window,
-            self._prior(),
-            starts,
-            tries_others=self.has_rivals,
-            noise_before=self.voltage_noise,
-        )
+        return fit_window(box, window, self._prior(), starts, tries_others=self.has_rivals)
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.

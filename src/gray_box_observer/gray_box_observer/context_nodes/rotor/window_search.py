@@ -129,11 +129,14 @@ class Search:
 
     Attributes:
         noise: of the voltage, that the current does not answer: what it does is taken off.
+        looks_for_noise: whether there may be any.
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
         promised_gain: of chi-square by the last step that was tried, if all were straight.
         beyond: shape (parameter,): where that leads.
     """
+
+    looks_for_noise = True
 
     def __init__(
         self,
@@ -141,10 +144,9 @@ class Search:
         window: Window,
         prior: LogPrior,
         logarithms: Array,
-        noise: VoltageNoise = NO_NOISE,
     ) -> None:
         self.white_box = white_box
-        self.noise = noise
+        self.noise = NO_NOISE
         self.window = window
         self.prior = prior
         lower, upper = bounds(white_box.parameters)
@@ -363,6 +365,10 @@ class Search:
         """Step until nothing moves; tell whether that is where another search has ended."""
         damping = 1e-3
         idle = 0
+        if self.looks_for_noise:
+            self.noise = VoltageNoise.from_runs(self.white_box, self._at, self.logarithms)
+            if self._cost_of_noise(self._at.residual_a, 1.0, self.logarithms) == -np.inf:
+                self.noise = NO_NOISE
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
