@@ -129,6 +129,9 @@ From here on it counts though they tell none."""
 INDUCTANCE = 0
 """Its place among the parameters: the first."""
 
+REACH = 2.0
+"""Largest shift of the inductance's logarithm with which the others move along."""
+
 LARGEST_SHIFT = 1e6
 """Change of a logarithm at which shifts are cut before they are squared. It is so large because a
 friction of nearly zero may be many times what it is taken for."""
@@ -270,12 +273,21 @@ def judge(
         unknown_shifts += _driver_doubts(analysis, speed_is_hidden=speed_is_hidden)
     unknown_shifts.append((late, analysis.stamps.delay.shift))
     for amount, unknown_shift in unknown_shifts:
-        shift = amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        shift = _within_reach(amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT))
         spread += np.outer(shift, shift)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
     return Judgement(verdict, factor, spread)
+
+
+def _within_reach(shift: Array) -> Array:
+    """Return a shift in which the inductance moves no further than what it does can go.
+
+    That goes with itself, and of a winding far faster than the samples it is next to nothing.
+    """
+    size = abs(float(shift[INDUCTANCE]))
+    return shift if not size > REACH else shift * (REACH / size)
 
 
 def is_dubious(analysis: ResidualAnalysis) -> bool:
