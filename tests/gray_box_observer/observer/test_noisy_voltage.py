@@ -13,6 +13,7 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
@@ -27,6 +28,16 @@ def noisy(record: Recording, share: float, seed: int) -> Recording:
     """Return a record whose voltage is read with noise, as a share of the supply."""
     noise = np.random.default_rng(seed).normal(size=record.voltage_v.shape)
     return replace(record, voltage_v=record.voltage_v + share * SUPPLY_V * noise)
+
+
+def check_known(motor: MotorView) -> None:
+    """Check that a motor is explained, its inductance and resistance identified and right."""
+    assert motor.fit.verdict.value == 'ok'
+    for name in ('inductance', 'resistance'):
+        true = getattr(GEAR_MOTOR, name)
+        value, std, verdict = told(motor, name)
+        assert verdict is Verdict.IDENTIFIED, name
+        assert abs(value - true) < max(4.0 * std, 0.02 * true), name
 
 
 def stretch_of(record: Recording, interval_s: float = 1e-3) -> SampleWindow:
@@ -54,12 +65,7 @@ def test_its_inductance_and_resistance_are_identified_and_right(
     record = noisy(recorded(GEAR_MOTOR, excitation, duration_s, 1), share, 3)
     motor = observed(record).motors['motor']
     assert motor.white_box.speed_source == 'rotor'
-    assert motor.fit.verdict.value == 'ok'
-    for name in ('inductance', 'resistance'):
-        true = getattr(GEAR_MOTOR, name)
-        value, std, verdict = told(motor, name)
-        assert verdict is Verdict.IDENTIFIED, name
-        assert abs(value - true) < max(4.0 * std, 0.02 * true), name
+    check_known(motor)
 
 
 @pytest.mark.slow
@@ -69,12 +75,7 @@ def test_beside_a_measured_speed_they_are_right_too(speed_noise: float) -> None:
     speed = record.speed_rad_s[0]
     noise = np.random.default_rng(7).normal(size=speed.size)
     motor = observed(record, speed + speed_noise * speed.std() * noise).motors['motor']
-    assert motor.fit.verdict.value == 'ok'
-    for name in ('inductance', 'resistance'):
-        true = getattr(GEAR_MOTOR, name)
-        value, std, verdict = told(motor, name)
-        assert verdict is Verdict.IDENTIFIED, name
-        assert abs(value - true) < max(4.0 * std, 0.02 * true), name
+    check_known(motor)
 
 
 @pytest.mark.slow

@@ -27,6 +27,18 @@ def kept(merger: SampleMerger, samples: list[Sample]) -> list[Sample]:
     return [one for sample in samples for one in merger.step(sample)]
 
 
+def check_goes_on_alike(samples: list[Sample], place: int) -> None:
+    """Check that what is saved at a place of some samples passes the rest on as if it were not."""
+    through = SampleMerger()
+    kept(through, samples[:place])
+    restored = SampleMerger.restored(through.state())
+    rest = [kept(one, samples[place:]) for one in (through, restored)]
+    assert [np.hstack(one[1:4]).tolist() for one in rest[0]] == [
+        np.hstack(one[1:4]).tolist() for one in rest[1]
+    ]
+    assert through.state() == restored.state()
+
+
 def test_samples_of_a_voltage_that_moves_pass_as_they_are() -> None:
     rng = np.random.default_rng(1)
     samples = samples_of(np.repeat(rng.uniform(-9.0, 9.0, 20), ALL_KEPT))
@@ -69,14 +81,7 @@ def test_a_gap_begins_anew() -> None:
 @pytest.mark.parametrize('place', [0, 300, 900, 905])
 def test_what_is_restored_goes_on_alike(place: int) -> None:
     samples = samples_of(np.append(np.full(1500, 6.0), np.full(100, 3.0)))
-    through = SampleMerger()
-    kept(through, samples[:place])
-    restored = SampleMerger.restored(through.state())
-    rest = [kept(one, samples[place:]) for one in (through, restored)]
-    assert [np.hstack(one[1:4]).tolist() for one in rest[0]] == [
-        np.hstack(one[1:4]).tolist() for one in rest[1]
-    ]
-    assert through.state() == restored.state()
+    check_goes_on_alike(samples, place)
 
 
 @pytest.mark.parametrize(
@@ -129,10 +134,4 @@ def test_a_noisy_voltage_goes_on_alike_where_it_is_restored(place: int) -> None:
     rng = np.random.default_rng(4)
     level = np.repeat([9.0, -4.0, 6.0], [3000, 3000, 2000])
     samples = samples_of(level + 0.05 * rng.normal(size=level.size))
-    through = SampleMerger()
-    kept(through, samples[:place])
-    restored = SampleMerger.restored(through.state())
-    rest = [kept(one, samples[place:]) for one in (through, restored)]
-    assert [np.hstack(one[1:4]).tolist() for one in rest[0]] == [
-        np.hstack(one[1:4]).tolist() for one in rest[1]
-    ]
+    check_goes_on_alike(samples, place)
