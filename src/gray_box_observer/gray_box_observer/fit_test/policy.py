@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
+from gray_box_observer.context_nodes.rotor.window_learner import REACH_OF_INDUCTANCE
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.projection import bandwidth
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
@@ -128,9 +129,6 @@ From here on it counts though they tell none."""
 
 INDUCTANCE = 0
 """Its place among the parameters: the first."""
-
-REACH = 2.0
-"""Largest shift of the inductance's logarithm with which the others move along."""
 
 LARGEST_SHIFT = 1e6
 """Change of a logarithm at which shifts are cut before they are squared. It is so large because a
@@ -287,7 +285,7 @@ def _within_reach(shift: Array) -> Array:
     That goes with itself, and of a winding far faster than the samples it is next to nothing.
     """
     size = abs(float(shift[INDUCTANCE]))
-    return shift if not size > REACH else shift * (REACH / size)
+    return shift if not size > REACH_OF_INDUCTANCE else shift * (REACH_OF_INDUCTANCE / size)
 
 
 def is_dubious(analysis: ResidualAnalysis) -> bool:

@@ -509,9 +509,10 @@ def _scores(
     bias_variances = biases
     if bias is not None:
         biases, bias_variances = bias.of_responses(
+            response,
             lambda noisy_run: noisy_run.response(
                 _voltages_of(_candidates(scene_of(white_box, noisy_run), asks_late=asks_late))
-            )
+            ),
         )
         yield len(bias.noises_v) * work
     gram = distinct @ distinct.T

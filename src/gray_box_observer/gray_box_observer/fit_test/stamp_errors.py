@@ -113,7 +113,8 @@ def stamp_amounts(
     biases = np.zeros(len(tools_a))
     if bias is not None:
         biases, _ = bias.of_responses(
-            lambda noisy_run: np.stack([*_tools(noisy_run, stamp_responses(noisy_run)).values()])
+            projection.with_weight(np.stack([*tools_a.values()])),
+            lambda noisy_run: np.stack([*_tools(noisy_run, stamp_responses(noisy_run)).values()]),
         )
     return {
         name: projection.amount(

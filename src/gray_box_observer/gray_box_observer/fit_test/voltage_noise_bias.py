@@ -72,13 +72,15 @@ class VoltageNoiseBias:
         remainders_a = projection.without(projection.with_weight(-run.response(noises_v)))
         return cls(run, projection, scores, noises_v, remainders_a)
 
-    def of_responses(self, respond: Callable[[FreeRun], Array]) -> tuple[Array, Array]:
+    def of_responses(
+        self, responses_a: Array, respond: Callable[[FreeRun], Array]
+    ) -> tuple[Array, Array]:
         """Return mean products with the residual, and the variances of their errors, (response,).
 
         Args:
-            respond: makes responses of a run, shape (response, k + 1), in A.
+            responses_a: shape (response, k + 1): those of the run, with weight.
+            respond: makes responses of a run, of the same shape, without weight.
         """
-        responses_a = self.projection.with_weight(respond(self.run))
         stretch = self.run.stretch
         products = []
         for noise_v, remainder_a in zip(self.noises_v, self.remainders_a, strict=True):

@@ -130,18 +130,21 @@ def believed_variance(histories: Sequence[Sequence[Readings]]) -> float:
     Args:
         histories: what :func:`lagged_readings` gives of every history.
     """
-    amounts = [
-        unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
-        for parts in zip(*histories, strict=True)
-    ]
-    results = [amount for amount in amounts if amount is not None]
-    if len(results) < len(LAGS):
+    own_parts, *other_parts = zip(*histories, strict=True)
+    own = _variance_of_all(own_parts)
+    if own is None or not own[0] > SURE * own[1]:  # the usual case: the others are not asked
         return 0.0
-    (variance, error), *others = results
-    is_one = all(
-        abs(variance - other) < SURE * math.hypot(error, its_error) for other, its_error in others
-    )
-    return variance if variance > SURE * error and is_one else 0.0
+    variance, error = own
+    for parts in other_parts:
+        other = _variance_of_all(parts)
+        if other is None or not abs(variance - other[0]) < SURE * math.hypot(error, other[1]):
+            return 0.0
+    return variance
+
+
+def _variance_of_all(parts: Sequence[Readings]) -> tuple[float, float] | None:
+    """Return what the readings of all histories tell; see :func:`unanswered_variance`."""
+    return unanswered_variance(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -113,9 +113,13 @@ def _explains_more(plain: Fit, aware: Fit) -> bool:
         aware: that with.
     """
     count = plain.runs.residual_a.size
-    own_a = max(difference_noise(plain.runs.window.current_a), plain.least_noise_a)
-    leaves_much = count * math.log(plain.noise_a / own_a) > CLEARLY
+    leaves_much = count * math.log(plain.noise_a / _noise_of_readings(plain)) > CLEARLY
     return not leaves_much and count * math.log(aware.noise_a / plain.noise_a) > CLEARLY
+
+
+def _noise_of_readings(fit: Fit) -> float:
+    """Return the noise in A that the second differences of the readings show."""
+    return max(difference_noise(fit.runs.window.current_a), fit.least_noise_a)
 
 
 def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
@@ -168,8 +172,7 @@ def _size(fit: Fit) -> float:
     """
     size_a = fit.noise_a
     if fit.voltage_noise_a > 0.0:
-        own_a = max(difference_noise(fit.runs.window.current_a), fit.least_noise_a)
-        size_a /= math.hypot(1.0, fit.voltage_noise_a / own_a)
+        size_a /= math.hypot(1.0, fit.voltage_noise_a / _noise_of_readings(fit))
     return 2.0 * fit.runs.residual_a.size * float(np.log(size_a))
 
 

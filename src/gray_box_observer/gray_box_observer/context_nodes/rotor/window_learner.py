@@ -57,7 +57,7 @@ HOPELESS = 4.5
 """The same from which the motor is called a misfit, and more samples are not asked."""
 
 REACH_OF_INDUCTANCE = 2.0
-"""Standard deviation of the inductance's logarithm, at most, with which it moves the others."""
+"""Move of the inductance's logarithm, at most, with which the others move along."""
 
 LEAST_SHARE = 0.01
 """Information of a window, over that of what is remembered, from which it may contradict that."""
