@@ -19,6 +19,7 @@ COMPILED = Extension(
             'widened_estimate',
             'interval_motion',
             'whole_motor',
+            'residual_filter',
         )
     ],
     include_dirs=[PACKAGE],

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from common.motion import FloatArray
-from gray_box_observer.context_nodes.rotor.window import History, Window, free_runs
+from gray_box_observer.context_nodes.rotor.free_runs import free_runs
+from gray_box_observer.context_nodes.rotor.window import History, Window
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import bounds
 

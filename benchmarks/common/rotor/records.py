@@ -11,7 +11,8 @@ import numpy as np
 from common.motion import FloatArray
 from common.trust.plant import Motor, Plant
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
-from gray_box_observer.context_nodes.rotor.window import Window, free_runs
+from gray_box_observer.context_nodes.rotor.free_runs import free_runs
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import State
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes.rotor.filter_readings import FilterReadings
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns, free_runs
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
     CurrentSensor,
     SpeedOutput,
     Unknowns,
 )
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, History, Window, free_runs
+from gray_box_observer.context_nodes.rotor.window import History, Window
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 

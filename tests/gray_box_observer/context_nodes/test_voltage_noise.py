@@ -7,12 +7,14 @@ import pytest
 from rotor_motors import BOX, INITIAL, THETA, content_of, recorded
 
 from gray_box_observer.context_nodes.pieces import completed
+from gray_box_observer.context_nodes.rotor.free_runs import free_runs
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
-from gray_box_observer.context_nodes.rotor.window import Window, free_runs
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, settled_runs
+from gray_box_observer.context_nodes.rotor.window_noise import WindowNoise, voltage_noise_of
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
 
 VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(THETA.size) / 25.0)
@@ -32,7 +34,7 @@ def noise_of(samples: np.ndarray, theta: np.ndarray = THETA) -> VoltageNoise:
     window = Window.from_samples(BOX, samples)
     runs = settled_runs(BOX, theta, window)
     assert runs is not None
-    return VoltageNoise.from_runs(BOX, runs, np.log(theta))
+    return voltage_noise_of(runs)
 
 
 @pytest.mark.parametrize('is_held', [False, True], ids=['turns', 'is held'])
@@ -76,6 +78,31 @@ def test_what_the_driver_really_applies_is_no_noise() -> None:
     assert noise_of(content_of(recorded(excitation, 2.0))) is NO_NOISE
 
 
+def test_what_it_adds_to_the_residuals_is_that_of_many_draws() -> None:
+    """Of the current, and of the speed that nobody measures here."""
+    samples = content_of(recorded(SLOW_STEPS, 2.0, noise=0.0))
+    before = settled_runs(BOX, THETA, Window.from_samples(BOX, samples))
+    assert before is not None
+    squares = []
+    for seed in range(8):
+        moved = Window.from_samples(BOX, noisy(samples, seed=seed))
+        runs = free_runs(BOX, THETA, moved, before.starts)
+        squares.append(np.mean((runs.runs[0].states - before.runs[0].states) ** 2, axis=0))
+    powers = WindowNoise.from_runs(before).powers(VoltageNoise(NOISE_V**2))
+    np.testing.assert_allclose(powers, np.mean(squares, axis=0), rtol=0.2)
+
+
+def test_the_noise_of_the_readings_is_found_beside_it() -> None:
+    samples = noisy(content_of(recorded(SLOW_STEPS)))
+    runs = settled_runs(BOX, THETA, Window.from_samples(BOX, samples))
+    assert runs is not None
+    noise = WindowNoise.from_runs(runs)
+    own_a = noise.beside_readings(noise.of_voltage(), is_rough=False).current_a
+    quiet = settled_runs(BOX, THETA, Window.from_samples(BOX, content_of(recorded(SLOW_STEPS))))
+    assert quiet is not None
+    assert own_a == pytest.approx(float(np.std(quiet.residual_a)), rel=0.1)
+
+
 def test_the_mean_products_are_those_of_many_draws() -> None:
     samples = content_of(recorded(SLOW_STEPS, 2.0, noise=0.0))
     noise = VoltageNoise(NOISE_V**2)
@@ -100,7 +127,7 @@ def test_the_mean_products_are_those_of_many_draws() -> None:
 @pytest.mark.parametrize('excitation', [SLOW_STEPS, 'R[-12,12]D[0.05,0.5]'])
 @pytest.mark.parametrize('seed', [4, 5, 6])
 def test_a_fit_beside_noise_is_right_within_its_deviation(excitation: str, seed: int) -> None:
-    """Without the compensation L comes out three times too large, with a deviation of 3 %."""
+    """With the noise in the residual L comes out three times too large, known to 3 %."""
     window = Window.from_samples(BOX, noisy(content_of(recorded(excitation)), seed=seed))
     fit = completed(fit_window(BOX, window, VAGUE, [*weak_starts(BOX, window)]))
     assert fit is not None

@@ -31,6 +31,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.context_nodes.rotor.noise_filter import rests
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
     FEWEST,
     MERGED,
@@ -39,7 +40,6 @@ from gray_box_observer.context_nodes.rotor.voltage_noise import (
     VoltageNoise,
     believed_variance,
     lagged_readings,
-    rest_share,
     unanswered_variance,
 )
 from gray_box_observer.fit_test.free_run import FreeRun
@@ -240,7 +240,9 @@ def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeR
         theta: shape (parameter,): its values, whose fit knows of such noise.
         run: the free run at these.
     """
-    held_share = rest_share(run.speed_rad_s) if isinstance(run, RotorFreeRun) else 1.0
+    held_share = 1.0
+    if isinstance(run, RotorFreeRun):
+        held_share = float(np.mean(rests(run.speed_rad_s)))
     if white_box.has_rotor and not isinstance(run, RotorFreeRun):  # it cannot be run
         return run
     if run.stretch.voltage_v.shape[1] < FEWEST:

@@ -8,9 +8,10 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import LEAST, SampleWindow, input_reach
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_runs
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.samples.replay_buffer import SPEED

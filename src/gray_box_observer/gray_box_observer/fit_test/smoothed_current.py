@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
-from gray_box_observer.context_nodes.rotor.window import free_runs
+from gray_box_observer.context_nodes.rotor.free_runs import free_runs
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
+from gray_box_observer.context_nodes.rotor.free_runs import rotor_current
 from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_current
-from gray_box_observer.context_nodes.rotor.window import rotor_current
 from gray_box_observer.samples.spread import spread
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates

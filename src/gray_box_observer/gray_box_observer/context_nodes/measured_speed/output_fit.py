@@ -7,7 +7,6 @@ outputs, one that walks at random is tried.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -36,7 +35,6 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
-from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
@@ -58,6 +56,9 @@ LESS_THAN_STEP = 0.5
 
 AGREES = 1.1
 """Factor between two units of the outputs that are the same."""
+
+NEARLY_AGREES = 1.25
+"""The same beside noise of the voltage, where the samples are explained."""
 
 POOR = 1.3
 """Residual over noise floor from which an output is not explained."""
@@ -176,10 +177,7 @@ class OutputFit:
     def _whiteness(self, output: State, noise_a: float) -> float:
         """Return the whiteness of an output's residual, its outliers cut."""
         most_a = OUTLIER * noise_a
-        residual = np.clip(self.fit.runs.of_output(output), -most_a, most_a)
-        if output is State.CURRENT and self.shows_voltage_noise:
-            residual = innovation_of(self.fit, residual)
-        return whiteness(residual)
+        return whiteness(np.clip(self.fit.runs.of_output(output), -most_a, most_a))
 
     @property
     def walk(self) -> float:
@@ -259,9 +257,8 @@ class OutputFit:
 
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""
-        most_a = math.hypot(factor * self.floor.current_a, self.fit.voltage_noise_a)
-        most_rad_s = math.hypot(factor * self.floor.speed_rad_s, self.fit.voltage_noise_rad_s)
-        return self.noise.current_a <= most_a and self.noise.speed_rad_s <= most_rad_s
+        is_current_noise = self.noise.current_a <= factor * self.floor.current_a
+        return is_current_noise and self.noise.speed_rad_s <= factor * self.floor.speed_rad_s
 
     def lag(self) -> tuple[float, float]:
         """Return the lag of the speed in the longest history in s, and its standard deviation."""
@@ -295,26 +292,20 @@ class OutputFit:
         return float(self.fit.noise_a / size)
 
 
-def innovation_of(fit: Fit, residual_a: Array) -> Array:
-    """Return what the current's residual has beyond the memory that noise of the voltage gives it.
+class BestSoFar:
+    """Keeps what a search has found, for it may take more work than it is given.
 
-    Args:
-        fit: that knows of such noise.
-        residual_a: shape (sample,).
+    Attributes:
+        fit: one that explains its samples, else the newest; None: nothing was found.
     """
-    parts = []
-    begin = 0
-    for history in fit.runs.window.histories:
-        end = begin + history.current_a.size
-        winding = Winding.over(fit.runs.resistance_ohm, fit.runs.winding_s, history.interval_s)
-        is_whole = np.ones(history.interval_s.size, dtype=bool)
-        parts.append(
-            fit.voltage_noise.innovation(
-                residual_a[begin:end], winding, is_whole, fit.voltage_noise_a**2
-            )
-        )
-        begin = end
-    return np.concatenate(parts)
+
+    def __init__(self) -> None:
+        self.fit: OutputFit | None = None
+
+    def keep(self, fit: OutputFit) -> None:
+        """Keep a fit, unless one that explains its samples was found before."""
+        if self.fit is None or fit.explains or not self.fit.explains:
+            self.fit = fit
 
 
 def fit_outputs(
@@ -325,6 +316,7 @@ def fit_outputs(
     walk: float = 0.0,
     *,
     stops_at_lead: bool = True,
+    best: BestSoFar | None = None,
 ) -> Pieces[OutputFit | None]:
     """Fit the context nodes to current and speed; None where no start can be run.
 
@@ -336,6 +328,7 @@ def fit_outputs(
         walk: variance that the load has gained in a second before; 0: it was constant.
         stops_at_lead: whether to end as soon as the speed comes before the current, as it does
             where the sensor of the current lags (``filter_fit``).
+        best: keeps what is found with a constant load on the way; None: nothing does.
     """
     floor = _floor(window)
     if walk > 0.0:
@@ -348,12 +341,14 @@ def fit_outputs(
         plain = speed_start(white_box, window, starts[0], load_varies=False)
     steady = None
     if plain is not None:
-        search = _settled(white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead)
+        search = _settled(
+            white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead, best=best
+        )
         steady = yield from bounded(search, MOST_PLAIN_WORK)
     if steady is None or not steady.is_within(CLOSE):
         every_start = [*starts] if linear is None else [*starts, linear]
         other = yield from _settled(
-            white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead
+            white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead, best=best
         )
         steady = _likelier(steady, other)
     if linear is None or steady is None or steady.explains:
@@ -426,6 +421,7 @@ def _settled(
     last_fit: FitBefore | None = None,
     *,
     stops_at_lead: bool = False,
+    best: BestSoFar | None = None,
 ) -> Pieces[OutputFit | None]:
     """Fit with a constant load until the noise of either output agrees with its residual.
 
@@ -437,6 +433,7 @@ def _settled(
         floor: the least noise that the readings show.
         last_fit: what is known of the motor, with the sensor of the current; None: nothing is.
         stops_at_lead: whether to end as soon as the speed comes before the current.
+        best: keeps every fit; None: nothing does.
     """
     result = None
     is_known = last_fit is not None and last_fit.unit_a_s > 0.0
@@ -450,6 +447,8 @@ def _settled(
             return result
         before = result
         result = _result(fit, window, floor)
+        if best is not None:
+            best.keep(result)
         if not result.is_within(HOPELESS) or (stops_at_lead and result.speed_leads):
             return result
         ratio = result.noise.unit_a_s / output.unit_a_s
@@ -460,6 +459,9 @@ def _settled(
             sensor = replace(sensor, memory=memory)
         if is_settled and (is_known or (before is not None and is_same_end(before.fit, fit))):
             break
+        is_near = 1.0 / NEARLY_AGREES < ratio < NEARLY_AGREES
+        if is_near and result.shows_voltage_noise and result.explains:
+            break  # its size differs a little from search to search, and so do their ends
         if is_settled:
             ratio = 1.0
         output = replace(output, unit_a_s=ratio * output.unit_a_s)
@@ -544,8 +546,5 @@ def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> Output
 
 def _floor_of_residual(fit: Fit, floor: OutputNoise) -> OutputNoise:
     """The floor again by the residuals' second differences, free of the signals' own bends."""
-    residual_a = fit.runs.of_output(State.CURRENT)
-    if fit.voltage_noise is not NO_NOISE:
-        residual_a = innovation_of(fit, residual_a)
-    current = difference_noise(residual_a)
+    current = difference_noise(fit.runs.of_output(State.CURRENT))
     return replace(floor, current_a=max(current, fit.least_noise_a))

@@ -13,6 +13,7 @@ from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.filter_fit import fit_lagging
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
     LONGEST_MEMORY,
+    BestSoFar,
     FitBefore,
     OutputFit,
     fit_outputs,
@@ -47,7 +48,7 @@ LESS_LAG = 0.5
 
 _SENSOR = 'current_sensor'
 
-MOST_WORK = 3 * SAVED
+MOST_WORK = 6 * SAVED
 """Work of a search from anywhere: what explains a window is found with less. Of the motors that
 nothing explains it is given up, and more samples are waited for."""
 
@@ -134,10 +135,12 @@ class OutputLearner(WindowLearner):
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
         box = self._white_box
+        best = BestSoFar()
         search = fit_outputs(
-            box, window, prior, starts, self._tried_walk, stops_at_lead=self.finds_lag
+            box, window, prior, starts, self._tried_walk, stops_at_lead=self.finds_lag, best=best
         )
         fit = yield from bounded(search, MOST_WORK)
+        fit = best.fit if fit is None else fit
         if fit is not None and self.finds_lag and fit.speed_leads:
             late_fit = yield from self._behind_lag(window, prior, fit)
             if late_fit is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
-from gray_box_observer.context_nodes.rotor.window import FreeRuns
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array

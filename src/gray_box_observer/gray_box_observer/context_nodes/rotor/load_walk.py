@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk, Unknowns
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, History, Window
+from gray_box_observer.context_nodes.rotor.window import History, Window
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array

@@ -16,6 +16,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns, current_of_histories
 from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk
 from gray_box_observer.context_nodes.rotor.load_walk import (
     ALIKE,
@@ -27,7 +28,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
 )
 from gray_box_observer.context_nodes.rotor.loaded_search import LoadedSearch
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window, current_of_histories
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import is_resolved, with_rivals
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY
 from gray_box_observer.samples.order_statistics import median

@@ -13,9 +13,10 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns, guessed_starts
 from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk, knot_places
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window, guessed_starts
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_equations import robust_cost
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_START_GAIN, Search
 from gray_box_observer.white_box.declaration import State

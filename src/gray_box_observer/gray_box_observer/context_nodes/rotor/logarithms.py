@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
-from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.white_box.interface import Array
 
 
@@ -44,14 +44,13 @@ class Fit:
         logarithms: shape (parameter,).
         information: shape (parameter, parameter): of the samples alone, without the prior.
         spread: shape (parameter, parameter): covariance that rival optima add.
-        noise_a: standard deviation of the noise.
+        noise_a: standard deviation of the noise of the readings.
         least_noise_a: smallest one that is believed.
         chi_square: of the samples and the prior together.
         starts: shape (history, unknown): first states, and what else is free in a history.
         runs: the free runs there.
         voltage_noise: that the current does not answer.
-        voltage_noise_a: standard deviation of what that adds to the current's residual.
-        voltage_noise_rad_s: the same of the speed's, where that is measured.
+        voltage_noise_a: standard deviation of what that would add to the current's residual.
     """
 
     logarithms: Array
@@ -64,7 +63,6 @@ class Fit:
     runs: FreeRuns
     voltage_noise: VoltageNoise = NO_NOISE
     voltage_noise_a: float = 0.0
-    voltage_noise_rad_s: float = 0.0
 
     @property
     def theta(self) -> Array:

@@ -38,6 +38,7 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite
 from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
+from gray_box_observer.context_nodes.rotor.rest import is_at_rest
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
@@ -339,7 +340,7 @@ class RotorUpdate:
         schedule = self._schedule
         learner = self._learner
         voltage = samples[VOLTAGE, 1:]
-        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
+        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0) or is_at_rest(samples):
             # a rotor that has settled tells its level alone
             schedule.skip(place, is_settled=learner.is_settled)
             return False

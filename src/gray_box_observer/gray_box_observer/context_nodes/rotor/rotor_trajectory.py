@@ -99,6 +99,7 @@ def run(
     limits: Array,
     load_rad_s2: Array | None = None,
     *,
+    patience: int = PATIENCE,
     is_compiled: bool = True,
 ) -> Run:
     """Follow a motor from given states.
@@ -113,9 +114,11 @@ def run(
             takes too many steps.
         load_rad_s2: shape (k,): what a load takes of the acceleration over every interval, beside
             that of the coordinates; None: nothing.
+        patience: steps an interval, on average, beyond which it is given up.
         is_compiled: whether compiled code is used where there is any.
     """
     count = voltage_v.size
+    most_steps = max(patience * count, LEAST_PATIENCE)
     states = np.empty((count + 1, STATES))
     derivatives = np.empty((count + 1, STATES, STATES + COORDINATES))
     transitions = np.empty((count, STATES, STATES))
@@ -124,7 +127,7 @@ def run(
         loads = np.zeros(count) if load_rad_s2 is None else load_rad_s2
         path, steps = _run(
             torque_constant, p, start, (voltage_v, interval_s, loads), limits,
-            (states, derivatives, transitions),
+            (states, derivatives, transitions), most_steps,
         )  # fmt: skip
         return Run(states, derivatives, transitions, path == count, steps)
     arguments = [
@@ -145,7 +148,7 @@ def run(
         to_limits,
         LARGEST_STEP,
         MOST_STEPS,
-        max(PATIENCE * count, LEAST_PATIENCE),
+        most_steps,
         *map(native.pointer, (states, derivatives, transitions)),
         address(step_count),
     )
@@ -279,6 +282,7 @@ def _run(
     signals: tuple[Array, Array, Array],
     limits: Array,
     room: tuple[Array, Array, Array],
+    patience: int,
 ) -> tuple[int, int]:
     """Do in Python what compiled code does; return how many intervals were followed, and steps."""
     states, derivatives, transitions = room
@@ -288,7 +292,6 @@ def _run(
     with np.errstate(all='ignore'):
         if signals[1].size >= FEWEST_INTERVALS:
             motion.prepare(float(signals[1][signals[1].size // 2]))
-        patience = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE)
         for k, (volt, length, load) in enumerate(
             zip(*(signal.tolist() for signal in signals), strict=True)
         ):

@@ -1,9 +1,8 @@
 """Noise of a measured voltage, which the current of the motor does not answer.
 
 The current of the model answers it. Least squares make this answer small, so they make the
-inductance large, up to a hundred times: the bias of errors in variables. What the noise adds to
-their sums is known, once its variance is: it is taken off again (bias-compensated least squares;
-T. Soderstrom, "Errors-in-variables methods in system identification", Automatica 43 (6), 2007).
+inductance large, up to a hundred times: the bias of errors in variables. How large the noise is,
+its products with the residual tell. What it adds to sums of squares follows.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses, Winding
-from gray_box_observer.context_nodes.rotor.window import FreeRuns
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
-from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -44,12 +41,6 @@ MERGED = 1.5
 
 OWN_SHARE = 1e-6
 """Share of a residual's variance that is the current's own noise, at least."""
-
-RESTS = 1e-3
-"""Share of the range of a speed up to which a rotor rests."""
-
-MOST_SHARE = 0.5
-"""Share of the current's spread that noise of the voltage makes at most, for it to be believed."""
 
 
 def unanswered_variance(
@@ -80,43 +71,48 @@ def unanswered_variance(
     return total / power, math.sqrt(own + max(0.0, 2.0 * sum(neighbours))) / power
 
 
-def rest_share(speed_rad_s: Array) -> float:
-    """Return the share of its samples at which a rotor rests, whose speed is given."""
-    size = np.abs(speed_rad_s)
-    return float(np.count_nonzero(size <= RESTS * float(size.max()))) / size.size
-
-
 Readings = tuple[Array, Array, Array, NDArray[np.bool_]]
 """What :func:`unanswered_variance` asks for."""
 
 
 def lagged_readings(
-    voltage_v: Array, innovation_a: Array, gain_a_v: Array, is_sound: NDArray[np.bool_]
+    voltage_v: Array,
+    innovation_a: Array,
+    gain_a_v: Array,
+    is_sound: NDArray[np.bool_],
+    after_a_v: tuple[float, float] = (0.0, 0.0),
 ) -> list[Readings]:
     """Return what noise of a voltage is told by, once a lag of :data:`LAGS`.
 
     Let ``d`` be what a voltage differs by from the mean of its neighbours, and ``b`` what one volt
     brings to the end of its interval. The innovation there has the mean product ``-b s^2`` with
-    ``d``, and half as much, of the other sign, with those beside it.
+    ``d``, and half as much, of the other sign, with those beside it. A rotor that answers adds to
+    the next two innovations, too.
 
     Args:
         voltage_v: shape (k,): of every interval.
         innovation_a: shape (k,): what an interval adds to the residual.
         gain_a_v: shape (k,): b.
         is_sound: shape (k,): which intervals count.
+        after_a_v: what a volt adds to the next two innovations.
     """
     difference_v = -0.5 * np.diff(voltage_v, 2)
     is_sound = is_sound[:-2] & is_sound[1:-1] & is_sound[2:]
     answer_a = innovation_a[1:-1]
     gain_a_v = gain_a_v[1:-1]
+    next_a_v, last_a_v = after_a_v
+    gains = {
+        0: gain_a_v - 0.5 * next_a_v,
+        -1: next_a_v - 0.5 * (gain_a_v + last_a_v),
+        1: -0.5 * gain_a_v,
+    }
     count = difference_v.size
     result: list[Readings] = []
     for lag in LAGS:
         own = slice(max(-lag, 0), count - max(lag, 0))
         other = slice(max(lag, 0), count - max(-lag, 0))
-        share = -0.5 if lag else 1.0
         both = is_sound[own] & is_sound[other]
-        result.append((difference_v[other], answer_a[own], share * gain_a_v[own], both))
+        result.append((difference_v[other], answer_a[own], gains[lag][own], both))
     return result
 
 
@@ -159,29 +155,6 @@ class VoltageNoise:
     variance_v2: float = 0.0
     held_share: float = 0.0
 
-    @classmethod
-    def from_runs(cls, white_box: MotorWhiteBox, runs: FreeRuns, logarithms: Array) -> VoltageNoise:
-        """Find the noise that the current does not answer; see :func:`believed_variance`.
-
-        Args:
-            white_box: of one motor with a rotor.
-            runs: the free runs.
-            logarithms: shape (parameter,): of the values at which they are.
-        """
-        if not runs.runs or runs.window.unknowns.current_sensor is not None:
-            return NO_NOISE
-        histories = []
-        for history, path in zip(runs.window.histories, runs.runs, strict=True):
-            winding = _winding(white_box, logarithms, history.interval_s)
-            residual_a = history.current_a - path.states[:, State.CURRENT]
-            innovation_a = residual_a[1:] - winding.decay * residual_a[:-1]
-            is_plain = history.interval_s < MERGED * runs.window.interval_s
-            histories.append(
-                lagged_readings(history.voltage_v, innovation_a, winding.gain_a_v, is_plain)
-            )
-        variance_v2 = believed_variance(histories)
-        return cls(variance_v2, rest_share(runs.speed_rad_s)) if variance_v2 else NO_NOISE
-
     def power_a2(self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> float:
         """Return the mean square of what the noise adds to a residual.
 
@@ -192,13 +165,7 @@ class VoltageNoise:
         """
         if self.variance_v2 == 0.0:
             return 0.0
-        return float(self._products(white_box, [logarithms], interval_s)[0][0, 0])
-
-    def speed_power(self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> float:
-        """Return the mean square of what the noise adds to the speed of a rotor, in (rad/s)^2."""
-        if self.variance_v2 == 0.0:
-            return 0.0
-        return float(self._products(white_box, [logarithms], interval_s)[1][0, 0])
+        return float(self._products(white_box, [logarithms], interval_s)[0, 0])
 
     def products(
         self, white_box: MotorWhiteBox, logarithms: Array, interval_s: Array
@@ -216,7 +183,7 @@ class VoltageNoise:
         """
         nudges = NUDGE * np.eye(logarithms.size)
         values = [logarithms, *(logarithms + nudges), *(logarithms - nudges)]
-        products, _ = self._products(white_box, values, interval_s)
+        products = self._products(white_box, values, interval_s)
         nothing = np.zeros((logarithms.size, 1))
         differences = np.hstack([nothing, nudges, -nudges]) / (2.0 * NUDGE**2)
         return -differences @ products[:, 0], differences @ products @ differences.T
@@ -230,36 +197,6 @@ class VoltageNoise:
             usual_s: interval of samples that are not merged.
         """
         return np.sqrt(self.variance_v2 / np.maximum(interval_s / usual_s, 1.0))
-
-    def moves(
-        self,
-        white_box: MotorWhiteBox,
-        logarithms: Array,
-        interval_s: Array,
-        usual_s: float,
-        slopes: Array,
-    ) -> Array:
-        """Return how far one standard deviation of noise in every interval moves sums of slopes.
-
-        The winding alone is asked: what the rotor does makes it less.
-
-        Args:
-            white_box: of one motor with a rotor.
-            logarithms: shape (parameter,): its values.
-            interval_s: shape (k,): of a history.
-            usual_s: interval of samples that are not merged.
-            slopes: shape (k + 1, column): weighted, of the current at its samples.
-
-        Returns:
-            Shape (k, column).
-        """
-        winding = _winding(white_box, logarithms, interval_s)
-        inputs = slopes[:0:-1].T[:, None]
-        factor = np.concatenate([winding.decay[1:], [0.0]])[None, ::-1]
-        start = np.zeros((slopes.shape[1], 1))
-        sums = recurrence(factor, inputs, start)[:, 0, :0:-1].T
-        result: Array = (self.stds_v(interval_s, usual_s) * winding.gain_a_v)[:, None] * sums
-        return result
 
     def innovation(
         self, residual_a: Array, winding: Winding, is_whole: NDArray[np.bool_], power_a2: float
@@ -302,24 +239,17 @@ class VoltageNoise:
         predicted_a2 = half + math.sqrt(half * half + added_a2 * own_a2)
         return decay * own_a2 / (predicted_a2 + own_a2)
 
-    def _products(
-        self, white_box: MotorWhiteBox, values: list[Array], interval_s: Array
-    ) -> tuple[Array, Array]:
-        """Return mean products of what the noise adds at two values each, (value, value).
-
-        Those of the current come first, in A2, then those of the speed, in (rad/s)^2.
-        """
+    def _products(self, white_box: MotorWhiteBox, values: list[Array], interval_s: Array) -> Array:
+        """Return mean products of what the noise adds at two values each, (value, value), in A2."""
         lengths_s, variances_v2 = self._by_length(interval_s)
-        of_current = np.zeros((len(values), len(values)))
-        of_speed = np.zeros_like(of_current)
+        result = np.zeros((len(values), len(values)))
         for is_held, share in ((False, 1.0 - self.held_share), (True, self.held_share)):
             if share > 0.0:
                 responses = VoltageResponses.of_values(
                     white_box, values, lengths_s, is_held=is_held
                 )
-                of_current += share * responses.current_products @ variances_v2
-                of_speed += share * responses.speed_products @ variances_v2
-        return of_current, of_speed
+                result += share * responses.current_products @ variances_v2
+        return result
 
     def _by_length(self, interval_s: Array) -> tuple[Array, Array]:
         """Return the lengths of intervals in s, and variances in V2 by their shares.
@@ -333,13 +263,6 @@ class VoltageNoise:
         mean_s = np.bincount(places, interval_s) / counts
         merged_counts = np.maximum(mean_s / usual_s, 1.0)
         return mean_s, self.variance_v2 * counts / interval_s.size / merged_counts
-
-
-def _winding(white_box: MotorWhiteBox, logarithms: Array, interval_s: Array) -> Winding:
-    """Return what intervals, shape (k,), do at values, shape (parameter,)."""
-    values = white_box.values(np.exp(logarithms))
-    winding_s = values['inductance'] / values['resistance']
-    return Winding.over(values['resistance'], winding_s, interval_s)
 
 
 NO_NOISE = VoltageNoise()

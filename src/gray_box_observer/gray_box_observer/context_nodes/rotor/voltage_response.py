@@ -1,4 +1,4 @@
-"""How current and speed of a motor answer small voltages that last for one interval."""
+"""How the current of a motor answers small voltages that last for one interval."""
 
 from __future__ import annotations
 
@@ -49,12 +49,10 @@ class VoltageResponses:
     Attributes:
         rates: shape (motor, term, length): of intervals of several lengths.
         currents_a_v: shape (motor, term, length): sizes of the current.
-        speeds_rad_s_v: shape (motor, term, length): those of the speed.
     """
 
     rates: NDArray[np.complex128]
     currents_a_v: NDArray[np.complex128]
-    speeds_rad_s_v: NDArray[np.complex128]
 
     @classmethod
     def of_values(
@@ -75,45 +73,31 @@ class VoltageResponses:
         """
         modes_of = _modes_of_held if is_held else _modes
         modes = np.array([modes_of(white_box, at) for at in logarithms])
-        poles, currents, speeds = modes.swapaxes(0, 1)[..., None]
+        poles, currents = modes.swapaxes(0, 1)[..., None]
         exponents = poles * interval_s
-        reach_s = np.expm1(exponents) / poles
-        return cls(np.exp(exponents), currents * reach_s, speeds * reach_s)
+        return cls(np.exp(exponents), currents * np.expm1(exponents) / poles)
 
     @property
     def current_products(self) -> Array:
         """Sums over all samples after of the products of two currents, (motor, motor, length)."""
-        return self._products(self.currents_a_v)
-
-    @property
-    def speed_products(self) -> Array:
-        """The same of the speeds."""
-        return self._products(self.speeds_rad_s_v)
-
-    def _products(self, sizes: NDArray[np.complex128]) -> Array:
+        sizes = self.currents_a_v
         rates = self.rates[:, None, :, None] * self.rates[None, :, None]
         terms = sizes[:, None, :, None] * sizes[None, :, None] / (1.0 - rates)
         return np.asarray(terms.sum(axis=(2, 3)).real)
 
 
 def _modes(white_box: MotorWhiteBox, logarithms: Array) -> NDArray[np.complex128]:
-    """Return poles in 1/s and residues by voltage, shape (3, term).
-
-    These are of the current in A/(V s), and of the speed in rad/(V s2).
-    """
+    """Return poles in 1/s and residues of the current by voltage in A/(V s), shape (2, term)."""
     values = white_box.values(np.exp(logarithms))
     inverse_h = 1.0 / values['inductance']
-    torque_constant = float(white_box.torque_constant)
-    stiffness = torque_constant * values['back_emf_constant']
+    stiffness = float(white_box.torque_constant) * values['back_emf_constant']
     damping = values.get('viscous_friction', 0.0) / values['inertia']
     mean = 0.5 * (values['resistance'] * inverse_h + damping)
     product = (values['resistance'] * damping + stiffness / values['inertia']) * inverse_h
     root = np.sqrt(complex(mean * mean * (1.0 + APART) - product))
     poles = np.array([-mean - root, -product / (mean + root)])
     shares = inverse_h / (poles - poles[::-1])
-    return np.array(
-        [poles, shares * (poles + damping), shares * torque_constant / values['inertia']]
-    )
+    return np.array([poles, shares * (poles + damping)])
 
 
 def _modes_of_held(white_box: MotorWhiteBox, logarithms: Array) -> NDArray[np.complex128]:
@@ -121,4 +105,4 @@ def _modes_of_held(white_box: MotorWhiteBox, logarithms: Array) -> NDArray[np.co
     values = white_box.values(np.exp(logarithms))
     inverse_h = 1.0 / values['inductance']
     pole = -values['resistance'] * inverse_h
-    return np.array([[pole], [inverse_h], [0.0]], dtype=complex)
+    return np.array([[pole], [inverse_h]], dtype=complex)

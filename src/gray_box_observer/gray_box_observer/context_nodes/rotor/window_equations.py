@@ -5,16 +5,14 @@ What is known of these beforehand, and how much a sample counts that lies far of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER, shortest_solution
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.white_box.interface import Array
-
-LEAST_LEFT = 1e-9
-"""Share of the information that is left at least where noise of an input is taken off."""
 
 
 def robust_weights(residual: Array, scale: float, *, leaves_out: bool) -> Array:
@@ -104,20 +102,6 @@ class Equations:
             information += products[others, others] - across.T @ gain[row]
             right += pulls[others] - across.T @ level[row]
         return cls(information, right, gain, level)
-
-    def compensated(self, of_residual: Array, of_slopes: Array) -> Equations:
-        """Return them without what noise of an input adds to their sums.
-
-        Args:
-            of_residual: shape (parameter,): to the products of slopes and residual.
-            of_slopes: shape (parameter, parameter): to those of the slopes among each other, at
-                most all but a small share of what is there.
-        """
-        information = self.information - of_slopes
-        sizes = np.sqrt(np.maximum(np.diagonal(self.information), 1e-300))
-        shares, axes = np.linalg.eigh(information / sizes / sizes[:, None])
-        information = (axes * np.maximum(shares, LEAST_LEFT)) @ axes.T * sizes * sizes[:, None]
-        return replace(self, information=information, right=self.right - of_residual)
 
     def start_steps(self, step: Array, own: float = 1.0) -> Array:
         """Return how the unknowns of the histories move with a step of the parameters.

@@ -12,11 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes.pieces import Pieces, completed
-from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.pieces import Pieces, bounded, completed
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
-from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_noise import voltage_noise_of
 from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY, Search, SearchEnd
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -40,11 +41,11 @@ STUCK = 2.0
 """Gain of chi-square that the equations promise, and no step brings, from which a search has ended
 before a kink: where a rotor turns or is held, a sample can stand in the way."""
 
+MOST_PLAIN_RUNS = 16
+"""Runs of a search without noise of the voltage, at most: it leads there soon, or nowhere."""
+
 CLEARLY = 25.0
 """Log-likelihood by which a fit leaves clearly more than another one."""
-
-TOO_MUCH = 1.1
-"""Times the noise of a fit that the voltage's may make of it, at most."""
 
 DISTINCT = 1.0
 """Standard deviations from which two ends of a search are two."""
@@ -66,7 +67,7 @@ def fit_window(
         prior: decides what the samples leave open.
         starts: shape (parameter,) each: where to search from; the best few of many are taken.
         tries_others: whether other inductances are tried where the current settles within a few
-            samples.
+            samples; and no noise of the voltage where some is found.
 
     Where the best end knows of noise of the voltage, and one beside it without any leaves no more
     than the noise of the readings, there is none: the current answers what seemed to be noise.
@@ -88,14 +89,13 @@ def fit_window(
     yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
     if tries_others:
         yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
-    fits = [end.fit for end in ends if end.fit.voltage_noise_a <= TOO_MUCH * end.fit.noise_a]
-    if not fits:
-        return None
+    fits = [end.fit for end in ends]
     noise_a = min(fit.noise_a for fit in fits)
     fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise_a) ** 2 + _size(fit))
     best, *others = fits
-    if best.voltage_noise is not NO_NOISE:
-        plain = yield from search_from(white_box, window, prior, best.theta, looks_for_noise=False)
+    if best.voltage_noise is not NO_NOISE and tries_others:
+        pieces = search_from(white_box, window, prior, best.theta, looks_for_noise=False)
+        plain = yield from bounded(pieces, MOST_PLAIN_RUNS * best.runs.work)
         if plain is not None and _explains_more(plain, best):
             return plain
     worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
@@ -106,20 +106,24 @@ def _explains_more(plain: Fit, aware: Fit) -> bool:
     """Tell whether a fit without noise of the voltage leaves no more than that of the readings.
 
     It has to leave clearly less than the fit that knows of noise: of a current that moves at every
-    sample the noise of the readings is hardly known.
+    sample the noise of the readings is hardly known. And it must not show such noise itself.
 
     Args:
         plain: that without.
         aware: that with.
     """
     count = plain.runs.residual_a.size
-    leaves_much = count * math.log(plain.noise_a / _noise_of_readings(plain)) > CLEARLY
-    return not leaves_much and count * math.log(aware.noise_a / plain.noise_a) > CLEARLY
+    aware_a = math.hypot(aware.noise_a, aware.voltage_noise_a)
+    if count * math.log(plain.noise_a / _noise_of_readings(plain)) > CLEARLY:
+        return False
+    if not count * math.log(aware_a / plain.noise_a) > CLEARLY:
+        return False
+    return voltage_noise_of(plain.runs) is NO_NOISE
 
 
 def _noise_of_readings(fit: Fit) -> float:
     """Return the noise in A that the second differences of the readings show."""
-    return max(difference_noise(fit.runs.window.current_a), fit.least_noise_a)
+    return max(fit.runs.window.reading_noise_a, fit.least_noise_a)
 
 
 def _leap(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
@@ -166,14 +170,8 @@ def is_resolved(white_box: MotorWhiteBox, window: Window, theta: Array) -> bool:
 
 
 def _size(fit: Fit) -> float:
-    """Log-determinant of the noise of all samples: the larger noise is the worse fit.
-
-    What noise of the voltage adds to it is no fault of a fit.
-    """
-    size_a = fit.noise_a
-    if fit.voltage_noise_a > 0.0:
-        size_a /= math.hypot(1.0, fit.voltage_noise_a / _noise_of_readings(fit))
-    return 2.0 * fit.runs.residual_a.size * float(np.log(size_a))
+    """Log-determinant of the noise of all samples: the larger noise is the worse fit."""
+    return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
 
 
 def search_from(

@@ -169,7 +169,7 @@ class WindowLearner:
             self.covariance += SHARP**2 * np.eye(prior.size)
             self.share = np.zeros_like(prior)
             self.reach = np.zeros_like(prior)
-        self.noise_a = fit.noise_a
+        self.noise_a = math.hypot(fit.noise_a, fit.voltage_noise_a)
         self.voltage_noise = fit.voltage_noise
         self.has_rivals = bool(fit.spread.any())
         if self.is_settled and is_full:
@@ -266,11 +266,11 @@ class WindowLearner:
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
-        return fit.noise_a > math.hypot(POOR * _sharp_noise(fit), fit.voltage_noise_a)
+        return fit.noise_a > POOR * _sharp_noise(fit)
 
     def _is_hopeless(self, fit: Fit) -> bool:
         """Tell whether the newest samples alone are so badly explained that more are no help."""
-        return fit.noise_a > math.hypot(HOPELESS * _sharp_noise(fit), fit.voltage_noise_a)
+        return fit.noise_a > HOPELESS * _sharp_noise(fit)
 
     def _contradicts(self, fit: Fit) -> bool:
         """Tell whether a window says other than what was known before it.

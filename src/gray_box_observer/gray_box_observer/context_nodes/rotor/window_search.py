@@ -9,7 +9,7 @@ voltage look like outliers, and tell most. Damped after Levenberg (1944), robust
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,20 +19,12 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     bounded_solution,
     logarithmic_curvature,
 )
+from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns, free_runs, guessed_starts
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.noise_filter import ReadingNoise
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
-from gray_box_observer.context_nodes.rotor.voltage_noise import (
-    MOST_SHARE,
-    NO_NOISE,
-    VoltageNoise,
-)
-from gray_box_observer.context_nodes.rotor.window import (
-    FEWEST,
-    FreeRuns,
-    Window,
-    free_runs,
-    guessed_starts,
-)
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
+from gray_box_observer.context_nodes.rotor.window import FEWEST, Window
 from gray_box_observer.context_nodes.rotor.window_equations import (
     Equations,
     robust_cost,
@@ -40,6 +32,7 @@ from gray_box_observer.context_nodes.rotor.window_equations import (
     start_mean,
     start_precision,
 )
+from gray_box_observer.context_nodes.rotor.window_noise import WindowNoise, voltage_noise_of
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, bounds
@@ -128,7 +121,7 @@ class Search:
     """Damped Gauss-Newton from one start.
 
     Attributes:
-        noise: of the voltage, that the current does not answer: what it does is taken off.
+        voltage_noise: that the current does not answer: what it does is taken off.
         looks_for_noise: whether there may be any.
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
@@ -146,7 +139,8 @@ class Search:
         logarithms: Array,
     ) -> None:
         self.white_box = white_box
-        self.noise = NO_NOISE
+        self.voltage_noise = NO_NOISE
+        self._noise: ReadingNoise | None = None
         self.window = window
         self.prior = prior
         lower, upper = bounds(white_box.parameters)
@@ -206,7 +200,8 @@ class Search:
 
     def _run(self, logarithms: Array, starts: Array) -> Pieces[FreeRuns | None]:
         with np.errstate(all='ignore'):
-            runs = free_runs(self.white_box, np.exp(logarithms), self.window, starts)
+            theta = np.exp(logarithms)
+            runs = free_runs(self.white_box, theta, self.window, starts, noise=self._noise)
             slopes = (runs.by_logarithm, *(path.slopes[-1] for path in runs.runs))
             is_usable = runs.is_bounded and all(np.isfinite(slope).all() for slope in slopes)
         yield runs.work
@@ -305,42 +300,25 @@ class Search:
         else:
             pull = float(np.einsum('hu,huv,hv->', off, self._start_precision, off))
         cost = robust_cost(residual, scale, leaves_out=self._leaves_out)
-        return (
-            cost
-            + self.prior.chi_square(logarithms)
-            + pull
-            - self._cost_of_noise(residual, scale, logarithms)
-        )
+        return cost + self.prior.chi_square(logarithms) + pull
 
-    def _cost_of_noise(self, residual: Array, scale: float, logarithms: Array) -> float:
-        """Return what noise of the voltage adds to the cost; where it is not believed, -inf."""
-        if self.noise is NO_NOISE:
-            return 0.0
-        power = self._power_of_noise(logarithms)
-        if power > (MOST_SHARE * self.window.spread_a) ** 2:  # nobody would believe that
-            return -np.inf
-        return float(residual[self._currents].size * power / scale**2)
-
-    def _power_of_noise(self, logarithms: Array) -> float:
-        """Return the mean square of what noise of the voltage adds to the current's residual."""
-        return self.noise.power_a2(self.white_box, logarithms, self.window.intervals_s)
-
-    def _speed_power_of_noise(self, logarithms: Array) -> float:
-        """Return the same of the speed's, in (rad/s)^2."""
-        return self.noise.speed_power(self.white_box, logarithms, self.window.intervals_s)
+    def _look_for_noise(self) -> None:
+        """Look for noise of the voltage where the search stands; take off what it does."""
+        self.voltage_noise = voltage_noise_of(self._at)
+        self._noise = None
+        if self.voltage_noise is not NO_NOISE:
+            self._noise = WindowNoise.from_runs(self._at).beside_readings(
+                self.voltage_noise, is_rough=not self._leaves_out
+            )
+        self._runs = replace(self._at, noise=self._noise)
 
     def _equations(self, weights: Array, scale: float) -> Equations:
-        equations = Equations.from_runs(
+        return Equations.from_runs(
             self._at,
             weights / scale**2,
             self._start_precision,
             start_mean(self.window, self.starts) - self.starts,
         )
-        if self.noise is NO_NOISE:
-            return equations
-        products = self.noise.products(self.white_box, self.logarithms, self.window.intervals_s)
-        total = float(weights[self._currents].sum()) / scale**2
-        return equations.compensated(*(total * one for one in products))
 
     def run(self, ends: Sequence[SearchEnd] = ()) -> Pieces[SearchEnd | None]:
         """Step until nothing moves, then leave out what does not fit and step again.
@@ -366,9 +344,7 @@ class Search:
         damping = 1e-3
         idle = 0
         if self.looks_for_noise:
-            self.noise = VoltageNoise.from_runs(self.white_box, self._at, self.logarithms)
-            if self._cost_of_noise(self._at.residual_a, 1.0, self.logarithms) == -np.inf:
-                self.noise = NO_NOISE
+            self._look_for_noise()
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -466,8 +442,6 @@ class Search:
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
-        if self.noise is not NO_NOISE and np.isfinite(information).all():
-            information = self._information_in_noise(equations, weights, noise)
         chi_square = self._total(residual, noise, self.logarithms, self.starts)
         if not (np.isfinite(information).all() and np.isfinite(chi_square)):
             return None
@@ -481,38 +455,14 @@ class Search:
             chi_square,
             self.starts,
             self._at,
-            self.noise,
-            float(np.sqrt(self._power_of_noise(self.logarithms))),
-            float(np.sqrt(self._speed_power_of_noise(self.logarithms))),
+            self.voltage_noise,
+            self._voltage_noise_a,
         )
 
-    def _information_in_noise(self, equations: Equations, weights: Array, noise: float) -> Array:
-        """Return the information where noise of the voltage has a memory in the residual.
-
-        It is ``H M^-1 H``: M is the covariance of the right-hand side, H the equations'.
-        """
-        power = self._power_of_noise(self.logarithms)
-        own_a2 = max(noise**2 - power, self._floor_a**2)
-        parameters = equations.right.size
-        covariance = np.zeros((parameters, parameters))
-        begin = 0
-        parts = zip(self.window.histories, self._at.derivatives, equations.gain, strict=True)
-        for history, slopes, gain in parts:
-            readings = slice(begin, begin + slopes.shape[0])
-            begin = readings.stop
-            unknowns = gain.shape[0]
-            own_slopes = slopes[:, unknowns:] - slopes[:, :unknowns] @ gain
-            own_slopes *= weights[readings, None] / noise**2
-            of_current = own_slopes[: history.current_a.size]
-            of_speed = own_slopes[history.current_a.size :]  # in the unit of all of the noise
-            moves = self.noise.moves(
-                self.white_box,
-                self.logarithms,
-                history.interval_s,
-                self.window.interval_s,
-                of_current,
-            )
-            covariance += own_a2 * of_current.T @ of_current
-            covariance += noise**2 * of_speed.T @ of_speed + moves.T @ moves
-        matrix = equations.information
-        return np.asarray(matrix @ np.linalg.pinv(covariance, hermitian=True) @ matrix)
+    @property
+    def _voltage_noise_a(self) -> float:
+        """Standard deviation of what noise of the voltage would add to the current's residual."""
+        if self.voltage_noise is NO_NOISE:
+            return 0.0
+        powers = WindowNoise.from_runs(self._at).powers(self.voltage_noise)
+        return float(np.sqrt(powers[State.CURRENT]))

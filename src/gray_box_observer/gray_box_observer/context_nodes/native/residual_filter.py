@@ -1,0 +1,77 @@
+"""Loads the compiled filter of noise in residuals, `residual_filter.c`."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.white_box.interface import Array
+
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+_POINTER = ctypes.c_void_p
+
+
+class _ResidualFilter(ctypes.Structure):
+    """``ResidualFilter`` of `residual_filter.c`."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in ('samples', 'columns', 'outputs')),
+        ('jacobian', _NUMBER * 4),
+        *((name, _NUMBER) for name in ('drive', 'noise', 'unit')),
+        *((name, _POINTER) for name in ('length', 'voltage', 'is_held', 'is_read', 'rows')),
+        ('result', _POINTER),
+    )
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Load the compiled code; None if absent."""
+    handle = compiled.library('residual_filter_size', _ResidualFilter)
+    if handle is None:
+        return None
+    handle.filter_noise.argtypes = (ctypes.POINTER(_ResidualFilter), _POINTER)
+    handle.filter_noise.restype = None
+    return handle
+
+
+def filter_noise(
+    jacobian: Array,
+    drive: float,
+    noise: float,
+    unit: float,
+    interval_s: Array,
+    voltage_v2: Array,
+    is_held: NDArray[np.bool_],
+    is_read: NDArray[np.bool_],
+    rows: Array,
+) -> Array | None:
+    """Filter rows as :mod:`~gray_box_observer.context_nodes.rotor.noise_filter` does.
+
+    None without compiled code. Arguments are those of its ``filtered``.
+    """
+    handle = library()
+    if handle is None:
+        return None
+    outputs, samples, columns = rows.shape
+    numbers = [np.ascontiguousarray(one, dtype=float) for one in (interval_s, voltage_v2)]
+    flags = [np.ascontiguousarray(one, dtype=np.uint8) for one in (is_held, is_read)]
+    rows = np.ascontiguousarray(rows, dtype=float)
+    result = np.empty_like(rows)
+    states = np.zeros((columns, 2))
+    structure = _ResidualFilter(
+        samples,
+        columns,
+        outputs,
+        tuple(jacobian.ravel().tolist()),
+        drive,
+        noise,
+        unit,
+        *map(compiled.address, (*numbers, *flags, rows, result)),
+    )
+    handle.filter_noise(structure, compiled.address(states))
+    return result
