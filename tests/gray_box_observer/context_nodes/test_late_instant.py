@@ -24,8 +24,13 @@ NOISE = 0.01
 """Of current and speed, as shares of their spread."""
 
 
-def _fit(late: float) -> OutputFit:
-    """Fit both outputs of a motor whose voltage acts a part of an interval late."""
+def _fit(late: float, noise_v: float = 0.0) -> OutputFit:
+    """Fit both outputs of a motor whose voltage acts a part of an interval late.
+
+    Args:
+        late: in sample intervals.
+        noise_v: with which the voltage is read.
+    """
     rng = np.random.default_rng(3)
     voltage_v = np.repeat(rng.uniform(-12.0, 12.0, SAMPLES // 10), 10)[: SAMPLES - 1]
     before_v = np.concatenate([voltage_v[:1], voltage_v[:-1]])
@@ -39,7 +44,7 @@ def _fit(late: float) -> OutputFit:
     states = states + NOISE * states.std(axis=0) * rng.normal(size=states.shape)
     content = np.zeros((4, SAMPLES))
     content[0, 1:] = INTERVAL_S
-    content[1, 1:] = voltage_v
+    content[1, 1:] = voltage_v + rng.normal(0.0, noise_v, voltage_v.size)
     content[2] = KT * states[:, 0]
     content[3] = states[:, 1]
     window = Window.from_samples(BOX, content, Unknowns(SpeedOutput(1.0)))
@@ -54,6 +59,18 @@ def _fit(late: float) -> OutputFit:
 def test_of_a_punctual_voltage_both_outputs_tell_that_it_is() -> None:
     instant = LateInstant.from_fit(_fit(0.0))
     assert abs(instant.mean) < 4.0 * instant.std < 0.2
+
+
+def test_noise_of_the_voltage_is_no_voltage_that_is_late() -> None:
+    fit = _fit(0.0, noise_v=0.1)
+    assert fit.shows_voltage_noise
+    instant = LateInstant.from_fit(fit)
+    assert abs(instant.mean) < 4.0 * instant.std < 0.5
+
+
+def test_beside_such_noise_a_late_voltage_still_shows() -> None:
+    instant = LateInstant.from_fit(_fit(0.4, noise_v=0.03))
+    assert instant.supports(0.4)
 
 
 @pytest.mark.parametrize('late', [0.1, 0.3])

@@ -18,8 +18,8 @@ from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
     OneInterval,
     Run,
     by_knot,
-    current_response,
     run,
+    state_response,
 )
 from gray_box_observer.context_nodes.rotor.straight_motion import StraightMotion
 from gray_box_observer.white_box import MotorWhiteBox, forms
@@ -420,7 +420,7 @@ def test_compiled_code_and_python_respond_alike_to_further_voltages() -> None:
     gains = rng.normal(size=(60, 2))
     inputs = rng.normal(size=(60, 3))
     fast, slow = (
-        current_response(transitions, gains, inputs, is_compiled=compiled)
+        state_response(transitions, gains, inputs, is_compiled=compiled)
         for compiled in (True, False)
     )
     np.testing.assert_allclose(fast, slow, rtol=1e-12, atol=1e-12)

@@ -10,7 +10,7 @@ from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import LEAST, SampleWindow, input_reach
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_runs
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import current_response
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import state_response
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
@@ -64,7 +64,7 @@ class RotorFreeRun(FreeRun):
             axis=1,
         )
         inputs = np.where(self.stretch.restart[0], 0.0, voltages_v).T
-        return current_response(self.transitions, by_voltage, inputs).T
+        return self._current_response(by_voltage, inputs)
 
     def pulse_response(self, pulses_vs: Array) -> Array:
         """Return how the current answers small pulses of voltage, the rotor with it.
@@ -77,7 +77,7 @@ class RotorFreeRun(FreeRun):
         """
         by_pulse = self.transitions[:, :, State.CURRENT] / self.inductance_h
         inputs = np.where(self.stretch.restart[0], 0.0, pulses_vs).T
-        return current_response(self.transitions, by_pulse, inputs).T
+        return self._current_response(by_pulse, inputs)
 
     def torque_response(self, torques_nm: Array, inertia: float) -> Array:
         """Return how the current answers small further torques; a held shaft answers none.
@@ -95,7 +95,11 @@ class RotorFreeRun(FreeRun):
         by_torque = np.stack([coupling_s, reach_s], axis=1) / inertia
         is_free = ~self.stretch.restart[0] & (stays >= HELD)
         inputs = np.where(is_free, torques_nm, 0.0).T
-        return current_response(self.transitions, by_torque, inputs).T
+        return self._current_response(by_torque, inputs)
+
+    def _current_response(self, gains: Array, inputs: Array) -> Array:
+        """Return by how much further inputs move the current, shape (input, k + 1)."""
+        return state_response(self.transitions, gains, inputs)[:, :, State.CURRENT].T
 
     def _passed_on(self, state: State, by: State) -> Array:
         """Return what a push of one state through an interval does to the other, shape (k,).

@@ -26,7 +26,8 @@ def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Arr
     """Return samples with the speed that their fit gives, and a current that does not lag.
 
     The current keeps, of its noise, what is new at every sample: what the filter's memory brings is
-    taken off. The speed is straight between two samples for who reads them, and bends in the fit.
+    taken off. The speed is free of what noise of the voltage does to the run. It is straight
+    between two samples for who reads them, and bends in the fit.
     So the voltage contains what takes the current the same way. A history too short to be fitted
     keeps its readings.
 
@@ -43,11 +44,12 @@ def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Arr
     begin = 0
     residual_a = runs.of_output(State.CURRENT)
     is_lagging = fit.window.unknowns.current_sensor is not None
-    for history, path in zip(fit.window.histories, runs.runs, strict=True):
+    for row, (history, path) in enumerate(zip(fit.window.histories, runs.runs, strict=True)):
         places = slice(history.place, history.place + history.current_a.size)
         result[SPEED, places] = path.states[:, State.SPEED]
         intervals = slice(places.start + 1, places.stop)
         result[VOLTAGE, intervals] += _bend_v(white_box, result[:, places], path.states, fit)
+        result[SPEED, places] = runs.probable_speed(row)
         if is_lagging:
             noise_a = residual_a[begin : begin + history.current_a.size]
             result[TORQUE, places] = runs.torque_constant * (

@@ -2,6 +2,7 @@
  * context_nodes/rotor/noise_filter.py for compiled code. */
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
 enum { CURRENT, SPEED, STATES };
 enum { TERMS_OF_SERIES = 6, MOST_HALVINGS = 48 };
@@ -19,6 +20,7 @@ typedef struct {
     const uint8_t *is_read;           /* (sample): whether the speed is */
     const double *rows;               /* (output, sample, column) */
     double *result;                   /* likewise */
+    double *deviations;               /* (sample, column, state), where they are asked for */
 } ResidualFilter;
 
 /* What an interval does to states that deviate, and to their covariance. */
@@ -82,8 +84,8 @@ static double gains_of(double covariance[STATES][STATES], int read, double unit,
     return sqrt(noise / variance);
 }
 
-/* Filter all columns: what is left is white, as large as the noise of the readings. `states` has
- * room for [column][STATES], all of them 0. */
+/* Filter all columns: what is left is white, as large as the noise of the readings. Deviations are
+ * what the states are known to deviate by. `states` has room for [column][STATES], all of them 0. */
 void filter_noise(const ResidualFilter *f, double *states)
 {
     double covariance[STATES][STATES] = {{0}};
@@ -126,5 +128,8 @@ void filter_noise(const ResidualFilter *f, double *states)
                 for (int s = 0; s < STATES; s++) x[s] += gain[s] * innovation;
             }
         }
+        if (f->deviations)
+            memcpy(f->deviations + k * f->columns * STATES, states,
+                   f->columns * STATES * sizeof(double));
     }
 }

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.white_box.interface import Array
 
+STATES = 2
+"""Current and speed."""
+
 _COUNT = ctypes.c_int64
 _NUMBER = ctypes.c_double
 _POINTER = ctypes.c_void_p
@@ -24,7 +27,7 @@ class _ResidualFilter(ctypes.Structure):
         ('jacobian', _NUMBER * 4),
         *((name, _NUMBER) for name in ('drive', 'noise', 'unit')),
         *((name, _POINTER) for name in ('length', 'voltage', 'is_held', 'is_read', 'rows')),
-        ('result', _POINTER),
+        *((name, _POINTER) for name in ('result', 'deviations')),
     )
 
 
@@ -49,10 +52,10 @@ def filter_noise(
     is_held: NDArray[np.bool_],
     is_read: NDArray[np.bool_],
     rows: Array,
-) -> Array | None:
+) -> tuple[Array, Array] | None:
     """Filter rows as :mod:`~gray_box_observer.context_nodes.rotor.noise_filter` does.
 
-    None without compiled code. Arguments are those of its ``filtered``.
+    None without compiled code. Arguments and results are those of its filter in Python.
     """
     handle = library()
     if handle is None:
@@ -62,7 +65,8 @@ def filter_noise(
     flags = [np.ascontiguousarray(one, dtype=np.uint8) for one in (is_held, is_read)]
     rows = np.ascontiguousarray(rows, dtype=float)
     result = np.empty_like(rows)
-    states = np.zeros((columns, 2))
+    deviations = np.empty((samples, columns, STATES))
+    states = np.zeros((columns, STATES))
     structure = _ResidualFilter(
         samples,
         columns,
@@ -71,7 +75,7 @@ def filter_noise(
         drive,
         noise,
         unit,
-        *map(compiled.address, (*numbers, *flags, rows, result)),
+        *map(compiled.address, (*numbers, *flags, rows, result, deviations)),
     )
     handle.filter_noise(structure, compiled.address(states))
-    return result
+    return result, deviations

@@ -192,20 +192,21 @@ void whole_motor_by_knot(int64_t count, int64_t knots, const double *place, cons
     }
 }
 
-/* What further inputs move the current by: `gains` is [count][STATES] of one input, `inputs` is
- * [count][columns], and `currents` has room for [count + 1][columns]. */
+/* What further inputs move the states by: `gains` is [count][STATES] of one input, `inputs` is
+ * [count][columns], and `states` has room for [count + 1][columns][STATES]. */
 void whole_motor_respond(int64_t count, int64_t columns, const double *transitions,
-                         const double *gains, const double *inputs, double *currents)
+                         const double *gains, const double *inputs, double *states)
 {
     for (int64_t j = 0; j < columns; j++) {
         double current = 0.0, speed = 0.0;
-        currents[j] = 0.0;
-        for (int64_t k = 0; k < count; k++) {
+        for (int64_t k = 0;; k++) {
+            double *at = states + (k * columns + j) * STATES;
+            at[CURRENT] = current, at[SPEED] = speed;
+            if (k == count) break;
             const double *by = transitions + k * STATES * STATES, *gain = gains + k * STATES;
             const double input = inputs[k * columns + j], before = current;
             current = by[0] * before + by[1] * speed + gain[CURRENT] * input;
             speed = by[2] * before + by[3] * speed + gain[SPEED] * input;
-            currents[(k + 1) * columns + j] = current;
         }
     }
 }

@@ -166,6 +166,38 @@ class FreeRuns:
             [self._without_noise(own, np.stack(parts)[:, :, None]) for own, parts in pairs]
         )[:, 0]
 
+    def without_noise(self, rows: Array, row: int) -> Array:
+        """Return signals of a history's readings as its residual is: noise of the voltage off.
+
+        Args:
+            rows: shape (reading, column).
+            row: which history.
+        """
+        if self.noise is None:
+            return rows
+        outputs = len(self._measured_residuals[row])
+        return self._without_noise(
+            self._noise_filters[row], rows.reshape(outputs, -1, rows.shape[1])
+        )
+
+    def drives(self, row: int) -> Array:
+        """Return what a volt over every interval of a history brings to its end, (k, state)."""
+        return self._noise_filters[row].drives
+
+    def probable_speed(self, row: int) -> Array:
+        """Return the speed in a history in rad/s, as it probably is, shape (k + 1,).
+
+        Noise of the voltage has moved that of the run; what the readings tell of it is added.
+
+        Args:
+            row: which history.
+        """
+        speed: Array = self.runs[row].states[:, State.SPEED]
+        if self.noise is None:
+            return speed
+        rows = np.stack(self._measured_residuals[row])[: self._noisy_outputs, :, None]
+        return speed + self._noise_filters[row].deviations(rows)[:, State.SPEED]
+
     @cached_property
     def derivatives(self) -> tuple[Array, ...]:
         """Derivatives of the readings by all unknowns, one a history.

@@ -109,6 +109,18 @@ class NoiseFilter:
             rows: shape (output, k + 1, column): of the current, and of the speed where it is read.
             is_compiled: whether compiled code is used where there is any.
         """
+        return self._run(rows, is_compiled=is_compiled)[0]
+
+    def deviations(self, rows: Array) -> Array:
+        """Return what true states are known to deviate by from those of the run, (k + 1, state).
+
+        Args:
+            rows: shape (output, k + 1, 1): the residuals.
+        """
+        return self._run(rows, is_compiled=True)[1][:, 0]
+
+    def _run(self, rows: Array, *, is_compiled: bool) -> tuple[Array, Array]:
+        """Return filtered rows, and deviations of the states, (k + 1, column, state)."""
         arguments = (
             self._jacobian,
             float(self.p[_INDUCTANCE]),
@@ -141,13 +153,31 @@ class NoiseFilter:
         return result
 
     @property
+    def drives(self) -> Array:
+        """What one volt over every interval brings to the states at its end, shape (k, state)."""
+        lengths_s, places = np.unique(self.interval_s, return_inverse=True)
+        of_length = np.array(
+            [
+                [
+                    interval_motion(
+                        self._jacobian, float(self.p[_INDUCTANCE]), length_s, is_held=own
+                    )[1]
+                    for own in (False, True)
+                ]
+                for length_s in lengths_s.tolist()
+            ]
+        )
+        return np.asarray(of_length[places, self.is_held.astype(int)])
+
+    @property
     def _jacobian(self) -> Array:
         """Derivatives of the rates of a rotor that turns by the states, shape (state, state)."""
         return rotor_jacobian(self.p, self.torque_constant, self.speed_rad_s)
 
-    def _filtered(self, rows: Array) -> Array:
+    def _filtered(self, rows: Array) -> tuple[Array, Array]:
         """Do in Python what compiled code does."""
         result = np.empty_like(rows)
+        deviations = np.empty((*rows.shape[1:], STATES))
         states = np.zeros((STATES, rows.shape[2]))
         covariance = np.zeros((STATES, STATES))
         motions: dict[tuple[bool, float], tuple[Array, Array]] = {}
@@ -172,7 +202,8 @@ class NoiseFilter:
                 result[output, k] = innovation * self.noise_a / np.sqrt(variance)
                 states = states + np.outer(gain, innovation)
                 covariance = covariance - np.outer(gain, reading @ covariance)
-        return result
+            deviations[k] = states.T
+        return result, deviations
 
 
 def rests(speed_rad_s: Array) -> NDArray[np.bool_]:

@@ -250,10 +250,10 @@ def by_knot(path: Run, place: Array, knots: int, *, is_compiled: bool = True) ->
     return result
 
 
-def current_response(
+def state_response(
     transitions: Array, gains: Array, inputs: Array, *, is_compiled: bool = True
 ) -> Array:
-    """Return by how much further inputs move the current, shape (k + 1, input).
+    """Return by how much further inputs move the states, shape (k + 1, input, state).
 
     Args:
         transitions: shape (k, state, state): of a run.
@@ -262,7 +262,7 @@ def current_response(
         is_compiled: whether compiled code is used where there is any.
     """
     count, columns = inputs.shape
-    result = np.zeros((count + 1, columns))
+    result = np.zeros((count + 1, columns, STATES))
     library = native.library() if is_compiled else None
     if library is not None:
         arrays = [np.ascontiguousarray(array) for array in (transitions, gains, inputs)]
@@ -271,7 +271,7 @@ def current_response(
     state = np.zeros((STATES, columns))
     for k, (transition, gain) in enumerate(zip(transitions, gains, strict=True)):
         state = transition @ state + gain[:, None] * inputs[k]
-        result[k + 1] = state[State.CURRENT]
+        result[k + 1] = state.T
     return result
 
 
