@@ -134,13 +134,23 @@ class OutputLearner(WindowLearner):
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
     ) -> Pieces[Fit | None]:
+        return (yield from self._fitted_from(window, prior, starts, BestSoFar()))
+
+    def _fitted_from(
+        self,
+        window: Window,
+        prior: LogPrior,
+        starts: Sequence[Array],
+        best: BestSoFar | None = None,
+    ) -> Pieces[Fit | None]:
+        """Search from some starts; where that takes too long, the best so far counts, if kept."""
         box = self._white_box
-        best = BestSoFar()
         search = fit_outputs(
             box, window, prior, starts, self._tried_walk, stops_at_lead=self.finds_lag, best=best
         )
         fit = yield from bounded(search, MOST_WORK)
-        fit = best.fit if fit is None else fit
+        if fit is None and best is not None:
+            fit = best.fit
         if fit is not None and self.finds_lag and fit.speed_leads:
             late_fit = yield from self._behind_lag(window, prior, fit)
             if late_fit is not None:
@@ -160,7 +170,7 @@ class OutputLearner(WindowLearner):
         fit = yield from bounded(search, MOST_WORK)
         if fit is not None and fit.explains and not fit.speed_leads:
             return self._noted(fit)
-        whole = yield from self._fitted(window, self._data_sheet, [newest.theta])
+        whole = yield from self._fitted_from(window, self._data_sheet, [newest.theta])
         return self._noted(part_fit) if whole is None else whole
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:

@@ -133,3 +133,23 @@ void filter_noise(const ResidualFilter *f, double *states)
                    f->columns * STATES * sizeof(double));
     }
 }
+
+/* Move the states by small voltages over every interval, (interval, column); `states` has room for
+ * [sample][column][STATES], all of them 0. */
+void move_by_noise(const ResidualFilter *f, const double *voltages, double *states)
+{
+    Motion motions[2] = {{-1.0, {{0}}, {0}}, {-1.0, {{0}}, {0}}};
+    for (int64_t k = 0; k + 1 < f->samples; k++) {
+        const int is_held = f->is_held[k] != 0;
+        Motion *over = motions + is_held;
+        if (over->length != f->length[k])
+            motion_made(f->jacobian, f->drive, f->length[k], is_held ? 1 : STATES, over);
+        for (int64_t j = 0; j < f->columns; j++) {
+            const double *x = states + (k * f->columns + j) * STATES;
+            double *to = states + ((k + 1) * f->columns + j) * STATES;
+            for (int s = 0; s < STATES; s++)
+                to[s] = over->state[s][CURRENT] * x[CURRENT] + over->state[s][SPEED] * x[SPEED] +
+                        over->drive[s] * voltages[k * f->columns + j];
+        }
+    }
+}

@@ -38,7 +38,8 @@ def library() -> ctypes.CDLL | None:
     if handle is None:
         return None
     handle.filter_noise.argtypes = (ctypes.POINTER(_ResidualFilter), _POINTER)
-    handle.filter_noise.restype = None
+    handle.move_by_noise.argtypes = (ctypes.POINTER(_ResidualFilter), _POINTER, _POINTER)
+    handle.filter_noise.restype = handle.move_by_noise.restype = None
     return handle
 
 
@@ -79,3 +80,42 @@ def filter_noise(
     )
     handle.filter_noise(structure, compiled.address(states))
     return result, deviations
+
+
+def move_by_noise(
+    jacobian: Array,
+    drive: float,
+    interval_s: Array,
+    is_held: NDArray[np.bool_],
+    voltages_v: Array,
+) -> Array | None:
+    """Move states by small voltages as the filter in Python does; None without compiled code.
+
+    Args:
+        jacobian: shape (state, state): derivatives of the rates by the states.
+        drive: rate of the current by the voltage.
+        interval_s: shape (k,).
+        is_held: shape (k,): over which intervals friction holds the rotor.
+        voltages_v: shape (k, column): over every interval.
+
+    Returns:
+        Shape (k + 1, column, state).
+    """
+    handle = library()
+    if handle is None:
+        return None
+    count, columns = voltages_v.shape
+    lengths_s = np.ascontiguousarray(interval_s, dtype=float)
+    held_flags = np.ascontiguousarray(is_held, dtype=np.uint8)
+    inputs_v = np.ascontiguousarray(voltages_v, dtype=float)
+    states = np.zeros((count + 1, columns, STATES))
+    structure = _ResidualFilter(
+        samples=count + 1,
+        columns=columns,
+        jacobian=tuple(jacobian.ravel().tolist()),
+        drive=drive,
+        length=compiled.address(lengths_s),
+        is_held=compiled.address(held_flags),
+    )
+    handle.move_by_noise(structure, compiled.address(inputs_v), compiled.address(states))
+    return states

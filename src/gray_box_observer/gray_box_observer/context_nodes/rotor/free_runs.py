@@ -180,9 +180,27 @@ class FreeRuns:
             self._noise_filters[row], rows.reshape(outputs, -1, rows.shape[1])
         )
 
-    def drives(self, row: int) -> Array:
-        """Return what a volt over every interval of a history brings to its end, (k, state)."""
-        return self._noise_filters[row].drives
+    def moved(self, voltages_v: Array, row: int) -> Array:
+        """Return by how much small voltages move the states of a history, (k + 1, column, state).
+
+        Args:
+            voltages_v: shape (k, column): over every interval.
+            row: which history.
+        """
+        return self._noise_filters[row].moved(voltages_v)
+
+    @property
+    def noise_information(self) -> Array:
+        """What noise alone adds to products of derivatives by parameters, (parameter, parameter).
+
+        Of white readings of unit variance; 0 where no noise of the voltage is known.
+        """
+        parameters = self.by_logarithm.shape[1]
+        result = np.zeros((parameters, parameters))
+        if self.noise is not None:
+            for own in self._noise_filters:
+                result += own.noise_information(self._noisy_outputs, self.by_logarithm)
+        return result
 
     def probable_speed(self, row: int) -> Array:
         """Return the speed in a history in rad/s, as it probably is, shape (k + 1,).

@@ -23,6 +23,12 @@ from gray_box_observer.white_box.interface import Array
 NUDGE = 1e-3
 """Change of a logarithm by which derivatives are taken."""
 
+DRAWS = 4
+"""How often noise is drawn."""
+
+SEED = 1
+"""Of the draws: every fit has the same."""
+
 SHORT = 0.02
 """Product of rate and length up to which a series is right to rounding."""
 
@@ -152,22 +158,65 @@ class NoiseFilter:
             result[:, :, column] = (above - below)[:, :, 0] / (2.0 * NUDGE)
         return result
 
-    @property
-    def drives(self) -> Array:
-        """What one volt over every interval brings to the states at its end, shape (k, state)."""
-        lengths_s, places = np.unique(self.interval_s, return_inverse=True)
-        of_length = np.array(
-            [
-                [
-                    interval_motion(
-                        self._jacobian, float(self.p[_INDUCTANCE]), length_s, is_held=own
-                    )[1]
-                    for own in (False, True)
-                ]
-                for length_s in lengths_s.tolist()
-            ]
-        )
-        return np.asarray(of_length[places, self.is_held.astype(int)])
+    def moved(self, voltages_v: Array, *, is_compiled: bool = True) -> Array:
+        """Return by how much small voltages move the states, shape (k + 1, column, state).
+
+        Args:
+            voltages_v: shape (k, column): over every interval.
+            is_compiled: whether compiled code is used where there is any.
+        """
+        inverse_h = float(self.p[_INDUCTANCE])
+        if is_compiled:
+            result = native.move_by_noise(
+                self._jacobian, inverse_h, self.interval_s, self.is_held, voltages_v
+            )
+            if result is not None:
+                return result
+        result = np.zeros((voltages_v.shape[0] + 1, voltages_v.shape[1], STATES))
+        motions = self._motions()
+        for k, volts in enumerate(voltages_v):
+            motion, drive = motions[bool(self.is_held[k]), float(self.interval_s[k])]
+            result[k + 1] = result[k] @ motion.T + np.outer(volts, drive)
+        return result
+
+    def noise_information(self, outputs: int, by_logarithm: Array) -> Array:
+        """Return what noise alone adds to products of filtered slopes, (parameter, parameter).
+
+        Slopes hold noise of voltages and readings, as the residual does. So their products seem to
+        tell something where the signals tell nothing. Noise is drawn to find by how much.
+
+        Args:
+            outputs: of the filtered rows: current, or current and speed.
+            by_logarithm: shape (coordinate, parameter): derivatives of the coordinates by the
+                logarithms of the parameters.
+        """
+        rng = np.random.default_rng(SEED)
+        count = self.interval_s.size
+        draws_v = np.sqrt(self.voltage_v2)[:, None] * rng.normal(size=(count, DRAWS))
+        readings_a = self.noise_a * rng.normal(size=(outputs, count + 1, DRAWS))
+        units = np.array([1.0, self.unit_a_s])[:outputs, None, None]
+
+        def filtered_noise(p: Array) -> Array:
+            """Return what the filter of other coordinates makes of the same noise."""
+            other = replace(self, p=p)
+            moved = units * other.moved(draws_v)[:, :, :outputs].transpose(2, 0, 1)
+            return other.filtered(readings_a - moved)
+
+        slopes = np.zeros((by_logarithm.shape[1], outputs * (count + 1) * DRAWS))
+        for column in np.flatnonzero(by_logarithm[_OWN].any(axis=0)).tolist():
+            nudge = NUDGE * by_logarithm[:, column]
+            change = filtered_noise(self.p + nudge) - filtered_noise(self.p - nudge)
+            slopes[column] = change.ravel() / (2.0 * NUDGE)
+        return np.asarray(slopes @ slopes.T / DRAWS)
+
+    def _motions(self) -> dict[tuple[bool, float], tuple[Array, Array]]:
+        """Return what every kind of interval does, by whether the rotor is held and by length."""
+        kinds = set(zip(self.is_held.tolist(), self.interval_s.tolist(), strict=True))
+        inverse_h = float(self.p[_INDUCTANCE])
+        return {
+            (own, length_s): interval_motion(self._jacobian, inverse_h, length_s, is_held=own)
+            for own, length_s in kinds
+        }
 
     @property
     def _jacobian(self) -> Array:
@@ -180,15 +229,10 @@ class NoiseFilter:
         deviations = np.empty((*rows.shape[1:], STATES))
         states = np.zeros((STATES, rows.shape[2]))
         covariance = np.zeros((STATES, STATES))
-        motions: dict[tuple[bool, float], tuple[Array, Array]] = {}
+        motions = self._motions()
         for k in range(rows.shape[1]):
             if k > 0:
-                key = bool(self.is_held[k - 1]), float(self.interval_s[k - 1])
-                if key not in motions:
-                    motions[key] = interval_motion(
-                        self._jacobian, float(self.p[_INDUCTANCE]), key[1], is_held=key[0]
-                    )
-                motion, drive = motions[key]
+                motion, drive = motions[bool(self.is_held[k - 1]), float(self.interval_s[k - 1])]
                 states = motion @ states
                 covariance = motion @ covariance @ motion.T
                 covariance += self.voltage_v2[k - 1] * np.outer(drive, drive)
@@ -241,7 +285,7 @@ def interval_motion(
     motion = term = np.diag((np.arange(STATES) < count).astype(float))
     drive = np.zeros((STATES, STATES))
     parts = max(1.0, float(np.abs(rates).sum()) * length_s / SHORT)
-    halvings = min(math.ceil(math.log2(parts)), MOST_HALVINGS)
+    halvings = math.ceil(math.log2(min(parts, 2.0**MOST_HALVINGS)))
     part_s = length_s * 0.5**halvings
     for n in range(1, SERIES + 1):
         drive = drive + term * part_s / n

@@ -20,7 +20,7 @@ ANSWERS = 3.0
 """Correlation of a current with the voltages before, times the root of the samples, from which it
 answers them."""
 
-LAGS = 4
+LAGS = 16
 """Intervals before a sample whose voltages are asked."""
 
 

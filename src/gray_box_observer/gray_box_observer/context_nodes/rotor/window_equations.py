@@ -14,6 +14,12 @@ from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.white_box.interface import Array
 
+UNSURE = 1.5
+"""Times the noise as it was found that is taken off an information: it may be larger."""
+
+LEAST_LEFT = 1e-6
+"""Share of an information that is left at least where noise is taken off."""
+
 
 def robust_weights(residual: Array, scale: float, *, leaves_out: bool) -> Array:
     """Return how much every sample counts: less, or nothing, beyond the limit of an outlier."""
@@ -46,6 +52,25 @@ def start_precision(window: Window, start_std: Array) -> Array:
     """Return what is known of the unknowns of every history, shape (history, unknown, unknown)."""
     unknowns = window.unknowns
     return np.stack([unknowns.precision(start_std, one.interval_s) for one in window.histories])
+
+
+def without_noise(information: Array, of_noise: Array) -> Array:
+    """Return what equations really tell whose slopes hold noise: ``H M^-1 H``.
+
+    H is their information less that of the noise, M is all of it: the right-hand side scatters as
+    if there were none.
+
+    Args:
+        information: shape (parameter, parameter).
+        of_noise: shape (parameter, parameter): what noise adds to it.
+    """
+    sizes = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    of_all = information / sizes / sizes[:, None]
+    of_signal = information - UNSURE * of_noise
+    shares, axes = np.linalg.eigh(of_signal / sizes / sizes[:, None])
+    signal = (axes * np.maximum(shares, LEAST_LEFT)) @ axes.T
+    result = signal @ np.linalg.pinv(of_all, hermitian=True) @ signal
+    return np.asarray(0.5 * (result + result.T) * sizes * sizes[:, None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import differenc
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
+from gray_box_observer.context_nodes.rotor.soft_friction import soft_friction_pull
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -119,6 +120,7 @@ class WindowLearner:
         self.reach = np.zeros_like(theta)
         self.noise_a = 0.0
         self.voltage_noise = NO_NOISE
+        self._soft_shift = np.zeros(self.logarithms.size)  # of what is remembered
         self.is_settled = False
         self.has_rivals = True
         self.is_new_motor = False
@@ -161,7 +163,10 @@ class WindowLearner:
         weak_precision = np.minimum(VAGUE**-2.0, shares**2)
         self.logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
-        self.covariance = self._within_reach(_inverse(information + np.diag(prior))) + fit.spread
+        covariance = _inverse(information + np.diag(prior))
+        shift = covariance @ self._soft_pull(fit)
+        spread = fit.spread + np.outer(shift, shift)
+        self.covariance = self._within_reach(covariance) + spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
         self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
@@ -174,7 +179,13 @@ class WindowLearner:
         self.has_rivals = bool(fit.spread.any())
         if self.is_settled and is_full:
             self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
+            self._soft_shift = shift
         return True
+
+    def _soft_pull(self, fit: Fit) -> Array:
+        """Return how softened friction pulls the logarithms, by a fit and by what was known."""
+        pull = soft_friction_pull(fit.runs, fit.noise_a)
+        return pull if self.memory is None else pull + self.memory.precision @ self._soft_shift
 
     def window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories."""
@@ -304,6 +315,7 @@ class WindowLearner:
             'voltage_noise': np.array(
                 [self.voltage_noise.variance_v2, self.voltage_noise.held_share]
             ),
+            'soft_shift': self._soft_shift.copy(),
             'memory_mean': memory.mean.copy(),
             'memory_precision': memory.precision.copy(),
             'share': self.share.copy(),
@@ -320,6 +332,9 @@ class WindowLearner:
         self.voltage_noise = NO_NOISE
         if 'voltage_noise' in arrays and arrays['voltage_noise'][0] > 0.0:  # not of early releases
             self.voltage_noise = VoltageNoise(*arrays['voltage_noise'].tolist())
+        self._soft_shift = np.zeros(self.logarithms.size)
+        if 'soft_shift' in arrays:  # not in files of early releases
+            self._soft_shift = arrays['soft_shift']
         self.share = arrays['share']
         self.reach = arrays['reach']
         self.memory = None
@@ -345,6 +360,8 @@ class WindowLearner:
         }
         if 'voltage_noise' in arrays:  # not in files of early releases
             rules['voltage_noise'] = ArrayRule((2,), 0.0)
+        if 'soft_shift' in arrays:
+            rules['soft_shift'] = ArrayRule((n,))
         check_arrays(arrays, rules)
         check_covariance('covariance', arrays['covariance'])
         check_covariance('memory_precision', arrays['memory_precision'])

@@ -31,6 +31,7 @@ from gray_box_observer.context_nodes.rotor.window_equations import (
     robust_weights,
     start_mean,
     start_precision,
+    without_noise,
 )
 from gray_box_observer.context_nodes.rotor.window_noise import WindowNoise, voltage_noise_of
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
@@ -442,6 +443,8 @@ class Search:
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
+        if self._noise is not None and np.isfinite(information).all():
+            information = without_noise(information, self._at.noise_information / noise**2)
         chi_square = self._total(residual, noise, self.logarithms, self.starts)
         if not (np.isfinite(information).all() and np.isfinite(chi_square)):
             return None
