@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rotor_motors import BOX, KT, THETA, content_of, recorded
 
-from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns
 from gray_box_observer.context_nodes.rotor.noise_filter import (
@@ -72,6 +72,38 @@ def test_compiled_code_does_as_python(own: NoiseFilter) -> None:
     np.testing.assert_allclose(
         own.filtered(rows), own.filtered(rows, is_compiled=False), rtol=1e-9, atol=1e-15
     )
+
+
+def test_compiled_code_and_python_answer_voltages_alike(own: NoiseFilter) -> None:
+    volts = np.random.default_rng(6).normal(size=(COUNT, 3))
+    np.testing.assert_allclose(
+        own.response(volts), own.response(volts, is_compiled=False), rtol=1e-9, atol=1e-15
+    )
+
+
+def test_noise_alone_adds_to_products_of_slopes_as_many_draws_do(own: NoiseFilter) -> None:
+    """Of residuals that hold noise of the voltage and of the readings, and nothing else."""
+    place = 0  # of the inductance
+    by_logarithm = slopes(BOX, P)[:, [place]]
+    step = 1e-3
+    products = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        volts = rng.normal(0.0, NOISE_V, (COUNT, 1))
+        readings = rng.normal(0.0, NOISE_A, (1, COUNT + 1, 1))
+        ends = []
+        for sign in (1.0, -1.0):
+            other = replace(own, p=P + sign * step * by_logarithm[:, 0])
+            ends.append(other.filtered(readings - other.response(volts)[None, :, :, 0]))
+        products.append(float(np.sum(((ends[0] - ends[1]) / (2.0 * step)) ** 2)))
+    share = own.noise_information(1, by_logarithm)
+    assert share.shape == (1, 1)
+    assert share[0, 0] == pytest.approx(np.mean(products), rel=0.1)
+
+
+def test_without_noise_of_the_voltage_nothing_is_added(own: NoiseFilter) -> None:
+    quiet = replace(own, voltage_v2=np.zeros(COUNT))
+    assert not quiet.noise_information(2, slopes(BOX, P)).any()
 
 
 def test_without_noise_of_the_voltage_residuals_stay_as_they_are(own: NoiseFilter) -> None:

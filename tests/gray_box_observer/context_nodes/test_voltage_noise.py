@@ -149,3 +149,19 @@ def test_its_deviation_is_that_of_many_draws() -> None:
     ratio = np.std(ends, axis=0) / np.sqrt(np.diag(covariance))[:2]
     assert (ratio > 0.5).all()
     assert (ratio < 1.6).all()
+
+
+def test_so_it_is_where_the_signals_hardly_tell_the_inductance() -> None:
+    """A slow sine: slopes hold more of the noise than of what the voltage does."""
+    ends = []
+    stds = []
+    for seed in range(8):
+        samples = noisy(content_of(recorded('C[0]+sin(8,6.28)', 3.0, noise=1e-2)), 0.1, seed)
+        window = Window.from_samples(BOX, samples)
+        fit = completed(fit_window(BOX, window, VAGUE, [THETA]))
+        assert fit is not None
+        ends.append(fit.logarithms - LOGARITHMS)
+        stds.append(np.sqrt(np.diag(np.linalg.inv(fit.information + VAGUE.precision))))
+    z = np.sqrt(np.mean((np.array(ends) / np.array(stds)) ** 2, axis=0))
+    assert (z < 3.0).all()
+    assert np.mean(stds, axis=0)[0] > 0.3, 'L is open'

@@ -106,7 +106,7 @@ def _columns(fit: OutputFit) -> tuple[Array, Array, Array, Array]:
         voltages_v = np.column_stack([history.voltage_v, draws_v])
         states = [*_answers(history.interval_s, voltages_v, path, inductance)]
         if runs.noise is not None:
-            states += [*-runs.moved(draws_v, row).swapaxes(0, 1)]
+            states += [*-runs.response(draws_v, row).swapaxes(0, 1)]
         rows = np.column_stack([runs.readings_of(one, row) for one in states])
         answer, *noise = runs.without_noise(rows, row).T
         residual = runs.residual_a[begin : begin + answer.size]

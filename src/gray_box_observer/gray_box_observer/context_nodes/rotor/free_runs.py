@@ -180,14 +180,14 @@ class FreeRuns:
             self._noise_filters[row], rows.reshape(outputs, -1, rows.shape[1])
         )
 
-    def moved(self, voltages_v: Array, row: int) -> Array:
+    def response(self, voltages_v: Array, row: int) -> Array:
         """Return by how much small voltages move the states of a history, (k + 1, column, state).
 
         Args:
             voltages_v: shape (k, column): over every interval.
             row: which history.
         """
-        return self._noise_filters[row].moved(voltages_v)
+        return self._noise_filters[row].response(voltages_v)
 
     @property
     def noise_information(self) -> Array:

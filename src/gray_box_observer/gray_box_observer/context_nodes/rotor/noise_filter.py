@@ -158,7 +158,7 @@ class NoiseFilter:
             result[:, :, column] = (above - below)[:, :, 0] / (2.0 * NUDGE)
         return result
 
-    def moved(self, voltages_v: Array, *, is_compiled: bool = True) -> Array:
+    def response(self, voltages_v: Array, *, is_compiled: bool = True) -> Array:
         """Return by how much small voltages move the states, shape (k + 1, column, state).
 
         Args:
@@ -199,8 +199,8 @@ class NoiseFilter:
         def filtered_noise(p: Array) -> Array:
             """Return what the filter of other coordinates makes of the same noise."""
             other = replace(self, p=p)
-            moved = units * other.moved(draws_v)[:, :, :outputs].transpose(2, 0, 1)
-            return other.filtered(readings_a - moved)
+            states = other.response(draws_v)[:, :, :outputs].transpose(2, 0, 1)
+            return other.filtered(readings_a - units * states)
 
         slopes = np.zeros((by_logarithm.shape[1], outputs * (count + 1) * DRAWS))
         for column in np.flatnonzero(by_logarithm[_OWN].any(axis=0)).tolist():

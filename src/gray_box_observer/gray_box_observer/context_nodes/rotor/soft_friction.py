@@ -4,8 +4,9 @@ The model has ``sign(w)`` softened over a few hundredths of a rad/s, so that a r
 A motor that turns by no more than a few rad/s notices that: in simulations with sharp friction R
 came out up to 3 % too small, and sure. To first order the error follows from the run. What the
 friction lacks is a small load, and the parameters move by what they explain of its answer. Near
-rest it takes no more than the speed that there is. The first order counts as a standard deviation:
-in simulations the error was 0.2 to 2.3 times as large.
+rest it takes no more than the speed that there is. The first order counts as a standard deviation
+of the electrical parameters: in simulations the error was 0.2 to 2.3 times as large. Frictions are
+those of the softened law.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ def _answer(runs: FreeRuns, path: Run) -> Array:
     current_a, speed_rad_s = path.states.T
     at = (current_a, speed_rad_s, runs.torque_constant, np.zeros_like(speed_rad_s))
     friction = forms.EFFECTS['coulomb_friction']
-    missing = np.sign(speed_rad_s) - friction.value(*at)
-    stopping = friction.partial[State.SPEED](*at) * speed_rad_s
-    lacking = np.where(np.abs(stopping) < np.abs(missing), stopping, missing)
-    lacking *= runs.p[DRY_FRICTION]
+    deficit = np.sign(speed_rad_s) - friction.value(*at)
+    brake = friction.partial[State.SPEED](*at) * speed_rad_s
+    load = np.where(np.abs(brake) < np.abs(deficit), brake, deficit)
+    load *= runs.p[DRY_FRICTION]
     by_load = path.slopes[:, :, STATES + LOAD]
     gains = by_load[1:] - np.einsum('ksr,kr->ks', path.transitions, by_load[:-1])
-    means = 0.5 * (lacking[1:] + lacking[:-1])
+    means = 0.5 * (load[1:] + load[:-1])
     return state_response(path.transitions, gains, means[:, None])[:, 0]

@@ -25,6 +25,7 @@ from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays, check_covariance
+from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -121,6 +122,8 @@ class WindowLearner:
         self.noise_a = 0.0
         self.voltage_noise = NO_NOISE
         self._soft_shift = np.zeros(self.logarithms.size)  # of what is remembered
+        states = [TERMS[name].state for name in white_box.context_nodes]
+        self._is_electrical = np.array([state is State.CURRENT for state in states])
         self.is_settled = False
         self.has_rivals = True
         self.is_new_motor = False
@@ -165,7 +168,8 @@ class WindowLearner:
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
         covariance = _inverse(information + np.diag(prior))
         shift = covariance @ self._soft_pull(fit)
-        spread = fit.spread + np.outer(shift, shift)
+        electrical = np.where(self._is_electrical, shift, 0.0)
+        spread = fit.spread + np.outer(electrical, electrical)
         self.covariance = self._within_reach(covariance) + spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
