@@ -31,10 +31,9 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
-from gray_box_observer.context_nodes.rotor.noise_filter import rests
+from gray_box_observer.context_nodes.rotor.noise_filter import MERGED, rests
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
     FEWEST,
-    MERGED,
     NO_NOISE,
     SURE,
     VoltageNoise,

@@ -38,6 +38,9 @@ SERIES = 6
 MOST_HALVINGS = 48
 """Of a length, down to which its series is used."""
 
+MERGED = 1.5
+"""Usual intervals from which one is that of merged samples."""
+
 RESTS = 1e-3
 """Share of the range of a speed up to which a rotor rests."""
 
@@ -71,13 +74,8 @@ class ReadingNoise:
     follows_speed: bool = True
 
     def variances_v2(self, interval_s: Array) -> Array:
-        """Return the variances of the voltages of intervals, shape (k,).
-
-        Args:
-            interval_s: shape (k,): those that are longer than usual are of merged samples, whose
-                voltage is a mean.
-        """
-        return np.asarray(self.voltage_v2 / np.maximum(interval_s / self.usual_s, 1.0))
+        """Return the variances of the voltages of intervals, shape (k,)."""
+        return variances_of_intervals(self.voltage_v2, interval_s, self.usual_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +246,19 @@ class NoiseFilter:
                 covariance = covariance - np.outer(gain, reading @ covariance)
             deviations[k] = states.T
         return result, deviations
+
+
+def variances_of_intervals(voltage_v2: float, interval_s: Array, usual_s: float) -> Array:
+    """Return the variances of the voltages of intervals, shape (k,).
+
+    Args:
+        voltage_v2: of a reading.
+        interval_s: shape (k,): those that are much longer than usual are of merged samples, whose
+            voltage is a mean.
+        usual_s: interval of samples that are not merged.
+    """
+    counts = np.where(interval_s < MERGED * usual_s, 1.0, interval_s / usual_s)
+    return np.asarray(voltage_v2 / counts)
 
 
 def rests(speed_rad_s: Array) -> NDArray[np.bool_]:

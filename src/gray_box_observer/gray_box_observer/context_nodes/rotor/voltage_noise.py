@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.context_nodes.rotor.noise_filter import variances_of_intervals
 from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses, Winding
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array
@@ -35,9 +36,6 @@ FEWEST = 64
 
 NUDGE = 1e-3
 """Change of a logarithm by which derivatives are taken."""
-
-MERGED = 1.5
-"""Usual intervals from which one is that of merged samples."""
 
 OWN_SHARE = 1e-6
 """Share of a residual's variance that is the current's own noise, at least."""
@@ -189,14 +187,8 @@ class VoltageNoise:
         return -differences @ products[:, 0], differences @ products @ differences.T
 
     def stds_v(self, interval_s: Array, usual_s: float) -> Array:
-        """Return the standard deviations of the voltages of intervals, shape (k,).
-
-        Args:
-            interval_s: shape (k,): those that are longer than usual are of merged samples, whose
-                voltage is a mean.
-            usual_s: interval of samples that are not merged.
-        """
-        return np.sqrt(self.variance_v2 / np.maximum(interval_s / usual_s, 1.0))
+        """Return standard deviations as :func:`variances_of_intervals` has them, shape (k,)."""
+        return np.sqrt(variances_of_intervals(self.variance_v2, interval_s, usual_s))
 
     def innovation(
         self, residual_a: Array, winding: Winding, is_whole: NDArray[np.bool_], power_a2: float

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.history_unknowns import LAG
 from gray_box_observer.context_nodes.rotor.noise_filter import (
+    MERGED,
     ReadingNoise,
     interval_motion,
     rests,
     rotor_jacobian,
 )
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
-    MERGED,
     NO_NOISE,
     SURE,
     VoltageNoise,
