@@ -197,15 +197,15 @@ def test_a_motor_without_voltage_comes_to_rest_in_few_steps(
     p = coordinates(BOX, np.array([3.5e-4, 16.7, 3.5e-4, 8e-5, 4e-2]))
     start = np.array([1e-8, 0.01])
 
-    def follow(count: int, length_s: float) -> Run:
+    def follow(count: int, length_s: float, *, is_compiled: bool) -> Run:
         lengths = np.full(count, length_s)
-        return run(KT, p, start, np.zeros(count), lengths, LIMITS, is_compiled=compiled)
+        return run(KT, p, start, np.zeros(count), lengths, LIMITS, is_compiled=is_compiled)
 
-    at_once = follow(40, 4e-3)
+    at_once = follow(40, 4e-3, is_compiled=compiled)
     assert at_once.is_bounded
     assert at_once.steps == rotor_trajectory.HELD_COST * 40
     monkeypatch.setattr(rotor_trajectory, 'LARGEST_STEP', 0.05)
-    finely = follow(4000, 4e-5).states[::100]
+    finely = follow(4000, 4e-5, is_compiled=True).states[::100]  # of Python it takes 47 s
     assert np.abs(at_once.states - finely)[:, 0].max() < 1e-8
     assert np.abs(at_once.states - finely)[:, 1].max() < 1e-5
 
@@ -221,13 +221,13 @@ def test_brushes_are_followed_however_strong_the_friction_is(
     p = coordinates(box, np.array([4e-3, 1.0, 1e-5, 1e-5, KT * largest_a]))
     volts = np.tile([2.0, -1.0, 0.4], 4)
 
-    def follow(parts: int) -> Run:
+    def follow(parts: int, *, is_compiled: bool) -> Run:
         lengths = np.full(volts.size * parts, 5e-3 / parts)
         finer = np.repeat(volts, parts)
-        return run(KT, p, np.zeros(2), finer, lengths, LIMITS, is_compiled=compiled)
+        return run(KT, p, np.zeros(2), finer, lengths, LIMITS, is_compiled=is_compiled)
 
-    at_once = follow(1)
-    finely = follow(100)
+    at_once = follow(1, is_compiled=compiled)
+    finely = follow(100, is_compiled=True)
     assert finely.is_bounded
     if at_once.is_bounded:
         off_a = np.abs(at_once.states - finely.states[::100])[:, 0]
