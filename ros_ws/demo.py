@@ -20,7 +20,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from demo_processes import Children, DemoError
+from demo_processes import Children, DemoError, interrupt
 from demo_result import (
     estimates_text,
     load_truth,
@@ -359,8 +359,8 @@ def main() -> int:
     options = parse_arguments()
     # A background job of a script starts with SIGINT ignored, and so would every process started
     # from it.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         run_demo(options)
     except DemoError as error:

@@ -16,6 +16,10 @@ STOP_PATIENCE_S = 15.0
 """Time to end after SIGINT: the recorder writes its last chunk, the observer ends its trainer."""
 
 
+_interrupts: list[int] = []
+"""Signals that have asked the demo to end."""
+
+
 class DemoError(Exception):
     """The demo cannot go on; the message is for the user."""
 
@@ -83,7 +87,13 @@ class Children:
         return self._children[name]
 
     def require_alive(self, *names: str) -> None:
-        """Raise a `DemoError` with the last lines of the first of these processes to end."""
+        """Raise a `DemoError` with the last lines of the first of these processes to end.
+
+        Raises:
+            KeyboardInterrupt: one came before, and what ran then has swallowed it.
+        """
+        if _interrupts:
+            raise KeyboardInterrupt
         for name in names:
             child = self._children[name]
             code = child.process.poll()
@@ -118,6 +128,18 @@ class Children:
             time.sleep(0.02)
         _signal_group(process, signal.SIGKILL)
         return code
+
+
+def interrupt(number: int, _: object) -> None:
+    """Interrupt the demo, as a handler of signals.
+
+    What a callback of compiled code or a finalizer raises is lost, so that it is remembered, too.
+
+    Raises:
+        KeyboardInterrupt: always.
+    """
+    _interrupts.append(number)
+    raise KeyboardInterrupt
 
 
 @contextmanager
