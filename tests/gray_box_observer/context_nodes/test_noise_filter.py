@@ -62,7 +62,7 @@ def _own() -> NoiseFilter:
 def test_what_is_left_is_white_and_as_large_as_the_noise_of_the_readings(own: NoiseFilter) -> None:
     rows = residuals(own, 1)
     assert np.std(rows[State.CURRENT]) > 2.0 * NOISE_A, 'before it holds more'
-    for white in own.filtered(rows)[:, :, 0]:
+    for white in own.white_rows(rows)[:, :, 0]:
         assert np.std(white) == pytest.approx(NOISE_A, rel=0.05)
         assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 4.0 / np.sqrt(COUNT)
 
@@ -70,7 +70,7 @@ def test_what_is_left_is_white_and_as_large_as_the_noise_of_the_readings(own: No
 def test_compiled_code_does_as_python(own: NoiseFilter) -> None:
     rows = residuals(own, 2)
     np.testing.assert_allclose(
-        own.filtered(rows), own.filtered(rows, is_compiled=False), rtol=1e-9, atol=1e-15
+        own.white_rows(rows), own.white_rows(rows, is_compiled=False), rtol=1e-9, atol=1e-15
     )
 
 
@@ -94,7 +94,7 @@ def test_noise_alone_adds_to_products_of_slopes_as_many_draws_do(own: NoiseFilte
         ends = []
         for sign in (1.0, -1.0):
             other = replace(own, p=P + sign * step * by_logarithm[:, 0])
-            ends.append(other.filtered(readings - other.response(volts)[None, :, :, 0]))
+            ends.append(other.white_rows(readings - other.response(volts)[None, :, :, 0]))
         products.append(float(np.sum(((ends[0] - ends[1]) / (2.0 * step)) ** 2)))
     share = own.noise_information(1, by_logarithm)
     assert share.shape == (1, 1)
@@ -109,13 +109,13 @@ def test_without_noise_of_the_voltage_nothing_is_added(own: NoiseFilter) -> None
 def test_without_noise_of_the_voltage_residuals_stay_as_they_are(own: NoiseFilter) -> None:
     rows = residuals(own, 3)
     quiet = replace(own, voltage_v2=np.zeros(COUNT))
-    np.testing.assert_array_equal(quiet.filtered(rows), rows)
+    np.testing.assert_array_equal(quiet.white_rows(rows), rows)
 
 
 def test_a_speed_that_is_not_read_tells_nothing(own: NoiseFilter) -> None:
     rows = residuals(own, 4)
     blind = replace(own, is_read=np.zeros(COUNT + 1, dtype=bool))
-    np.testing.assert_allclose(blind.filtered(rows)[:1], blind.filtered(rows[:1]))
+    np.testing.assert_allclose(blind.white_rows(rows)[:1], blind.white_rows(rows[:1]))
 
 
 def test_an_interval_is_as_two_of_half_its_length() -> None:

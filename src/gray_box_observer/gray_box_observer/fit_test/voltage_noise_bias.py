@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes.rotor.noise_filter import DRAWS, SEED
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Projection
@@ -19,12 +20,6 @@ from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-DRAWS = 4
-"""How often noise is drawn: the error of the mean is half of that of a product."""
-
-SEED = 1
-"""Of the draws: every test has the same."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,18 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
+from gray_box_observer.context_nodes.rotor.noise_filter import DRAWS, SEED
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, state_response
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 
 DISTINCT = 1e-6
 """Share of the answer that unknowns must not explain: of less nothing can be told."""
-
-DRAWS = 4
-"""How often noise of the voltage is drawn: the error of the mean is half of that of a product."""
-
-SEED = 1
-"""Of the draws: every fit has the same."""
 
 SIZE_ERROR = 0.1
 """Error of the noise's power, as a share of it."""
@@ -112,8 +107,7 @@ def _columns(fit: OutputFit) -> tuple[Array, Array, Array, Array]:
         residual = runs.residual_a[begin : begin + answer.size]
         begin += answer.size
         both = np.column_stack([by_unknown[:, unknowns:], answer, residual, *noise])
-        starts = by_unknown[:, :unknowns]
-        lefts.append(both - starts @ np.linalg.lstsq(starts, both, rcond=1e-9)[0])
+        lefts.append(runs.beyond_starts(both, row))
     left = np.concatenate(lefts)
     count = runs.by_logarithm.shape[1]
     return left[:, :count], left[:, count], left[:, count + 1], left[:, count + 2 :]

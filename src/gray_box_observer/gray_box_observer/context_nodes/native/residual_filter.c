@@ -85,7 +85,7 @@ static double gains_of(double covariance[STATES][STATES], int read, double unit,
 }
 
 /* Filter all columns: what is left is white, as large as the noise of the readings. Deviations are
- * what the states are known to deviate by. `states` has room for [column][STATES], all of them 0. */
+ * what the states are known to deviate by. `states` has room for [column][STATES], all 0. */
 void filter_noise(const ResidualFilter *f, double *states)
 {
     double covariance[STATES][STATES] = {{0}};

@@ -284,7 +284,7 @@ class FreeRuns:
             rows: shape (output, sample, column).
         """
         count = self._noisy_outputs
-        parts = [own.filtered(rows[:count]), *rows[count:, None]]
+        parts = [own.white_rows(rows[:count]), *rows[count:, None]]
         return np.concatenate([one.reshape(-1, rows.shape[2]) for one in parts])
 
     @property
@@ -301,6 +301,16 @@ class FreeRuns:
         """Derivatives by the logarithms of the parameters, shape (reading, parameter)."""
         unknowns = self.starts.shape[1]
         return np.concatenate([of_history[:, unknowns:] for of_history in self.derivatives])
+
+    def beyond_starts(self, columns: Array, row: int) -> Array:
+        """Return what the unknowns of a history cannot explain of signals of its readings.
+
+        Args:
+            columns: shape (reading, column).
+            row: which history.
+        """
+        starts = self.by_start[row]
+        return np.asarray(columns - starts @ np.linalg.lstsq(starts, columns, rcond=1e-9)[0])
 
     def readings_of(self, states: Array, row: int) -> Array:
         """Return what both sensors read of small changes of the states, shape (reading,).

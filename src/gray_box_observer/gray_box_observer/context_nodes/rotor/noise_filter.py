@@ -24,10 +24,10 @@ NUDGE = 1e-3
 """Change of a logarithm by which derivatives are taken."""
 
 DRAWS = 4
-"""How often noise is drawn."""
+"""How often noise is drawn: the error of the mean is half of that of a product."""
 
 SEED = 1
-"""Of the draws: every fit has the same."""
+"""Of the draws: every fit and every test has the same."""
 
 SHORT = 0.02
 """Product of rate and length up to which a series is right to rounding."""
@@ -104,7 +104,7 @@ class NoiseFilter:
     torque_constant: float
     speed_rad_s: float
 
-    def filtered(self, rows: Array, *, is_compiled: bool = True) -> Array:
+    def white_rows(self, rows: Array, *, is_compiled: bool = True) -> Array:
         """Return rows without the memory that the noise gives them, of their shape.
 
         What is left has the deviation of the readings.
@@ -137,7 +137,7 @@ class NoiseFilter:
             rows,
         )
         result = native.filter_noise(*arguments) if is_compiled else None
-        return self._filtered(rows) if result is None else result
+        return self._white_rows_in_python(rows) if result is None else result
 
     def slopes(self, rows: Array, by_logarithm: Array) -> Array:
         """Return how filtered rows change with the filter, (output, k + 1, parameter).
@@ -151,7 +151,7 @@ class NoiseFilter:
         for column in np.flatnonzero(by_logarithm[_OWN].any(axis=0)).tolist():
             nudge = NUDGE * by_logarithm[:, column]
             above, below = (
-                replace(self, p=self.p + change).filtered(rows) for change in (nudge, -nudge)
+                replace(self, p=self.p + change).white_rows(rows) for change in (nudge, -nudge)
             )
             result[:, :, column] = (above - below)[:, :, 0] / (2.0 * NUDGE)
         return result
@@ -194,16 +194,16 @@ class NoiseFilter:
         readings_a = self.noise_a * rng.normal(size=(outputs, count + 1, DRAWS))
         units = np.array([1.0, self.unit_a_s])[:outputs, None, None]
 
-        def filtered_noise(p: Array) -> Array:
+        def white_noise(p: Array) -> Array:
             """Return what the filter of other coordinates makes of the same noise."""
             other = replace(self, p=p)
             states = other.response(draws_v)[:, :, :outputs].transpose(2, 0, 1)
-            return other.filtered(readings_a - units * states)
+            return other.white_rows(readings_a - units * states)
 
         slopes = np.zeros((by_logarithm.shape[1], outputs * (count + 1) * DRAWS))
         for column in np.flatnonzero(by_logarithm[_OWN].any(axis=0)).tolist():
             nudge = NUDGE * by_logarithm[:, column]
-            change = filtered_noise(self.p + nudge) - filtered_noise(self.p - nudge)
+            change = white_noise(self.p + nudge) - white_noise(self.p - nudge)
             slopes[column] = change.ravel() / (2.0 * NUDGE)
         return np.asarray(slopes @ slopes.T / DRAWS)
 
@@ -221,7 +221,7 @@ class NoiseFilter:
         """Derivatives of the rates of a rotor that turns by the states, shape (state, state)."""
         return rotor_jacobian(self.p, self.torque_constant, self.speed_rad_s)
 
-    def _filtered(self, rows: Array) -> tuple[Array, Array]:
+    def _white_rows_in_python(self, rows: Array) -> tuple[Array, Array]:
         """Do in Python what compiled code does."""
         result = np.empty_like(rows)
         deviations = np.empty((*rows.shape[1:], STATES))

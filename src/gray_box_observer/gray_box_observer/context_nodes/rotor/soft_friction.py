@@ -40,8 +40,7 @@ def soft_friction_pull(runs: FreeRuns, noise_a: float) -> Array:
     for row, (path, by_unknown) in enumerate(zip(runs.runs, runs.derivatives, strict=True)):
         answer = runs.readings_of(_answer(runs, path), row)[:, None]
         answer = runs.without_noise(answer, row)
-        starts = by_unknown[:, :unknowns]
-        left = answer - starts @ np.linalg.lstsq(starts, answer, rcond=1e-9)[0]
+        left = runs.beyond_starts(answer, row)
         pull += by_unknown[:, unknowns:].T @ left[:, 0]
     return np.asarray(np.nan_to_num(pull / noise_a**2))
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
-from gray_box_observer.context_nodes.rotor.noise_filter import variances_of_intervals
+from gray_box_observer.context_nodes.rotor.noise_filter import NUDGE, variances_of_intervals
 from gray_box_observer.context_nodes.rotor.voltage_response import VoltageResponses, Winding
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.interface import Array
@@ -33,9 +33,6 @@ LAGS = (0, -1, 1)
 
 FEWEST = 64
 """Samples from which that is asked."""
-
-NUDGE = 1e-3
-"""Change of a logarithm by which derivatives are taken."""
 
 OWN_SHARE = 1e-6
 """Share of a residual's variance that is the current's own noise, at least."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -156,7 +157,7 @@ class WindowNoise:
         own_a2 = left_a2 if shown_a2 > left_a2 + SURE * error_a2 else shown_a2
         return max(own_a2, LEAST_OWN * answered_a2, window.quantisation_std_a**2)
 
-    @property
+    @cached_property
     def _innovation_a2(self) -> float:
         """Power of the innovations, outliers cut."""
         size_a = MAD_TO_STD * float(median(np.abs(self._plain(self.innovations_a))))
@@ -195,6 +196,26 @@ class WindowNoise:
 
 def voltage_noise_of(runs: FreeRuns) -> VoltageNoise:
     """Return the noise of the voltage in free runs; none behind a current sensor that lags."""
+    noise = _noise_in(runs)
+    return NO_NOISE if noise is None else noise.of_voltage()
+
+
+def noise_of(runs: FreeRuns, *, is_rough: bool) -> tuple[VoltageNoise, ReadingNoise | None]:
+    """Return the noise of the voltage in free runs, and with that of the readings, if there is any.
+
+    Args:
+        runs: the free runs.
+        is_rough: see :meth:`WindowNoise.beside_readings`.
+    """
+    noise = _noise_in(runs)
+    voltage = NO_NOISE if noise is None else noise.of_voltage()
+    if noise is None or voltage is NO_NOISE:
+        return NO_NOISE, None
+    return voltage, noise.beside_readings(voltage, is_rough=is_rough)
+
+
+def _noise_in(runs: FreeRuns) -> WindowNoise | None:
+    """Return what tells of noise in free runs; None where it is not asked for."""
     if not runs.runs or runs.window.unknowns.current_sensor is not None:
-        return NO_NOISE
-    return WindowNoise.from_runs(runs).of_voltage()
+        return None
+    return WindowNoise.from_runs(runs)

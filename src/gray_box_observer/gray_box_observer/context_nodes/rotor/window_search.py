@@ -33,7 +33,7 @@ from gray_box_observer.context_nodes.rotor.window_equations import (
     start_precision,
     without_noise,
 )
-from gray_box_observer.context_nodes.rotor.window_noise import WindowNoise, voltage_noise_of
+from gray_box_observer.context_nodes.rotor.window_noise import WindowNoise, noise_of
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, bounds
@@ -305,12 +305,7 @@ class Search:
 
     def _look_for_noise(self) -> None:
         """Look for noise of the voltage where the search stands; take off what it does."""
-        self.voltage_noise = voltage_noise_of(self._at)
-        self._noise = None
-        if self.voltage_noise is not NO_NOISE:
-            self._noise = WindowNoise.from_runs(self._at).beside_readings(
-                self.voltage_noise, is_rough=not self._leaves_out
-            )
+        self.voltage_noise, self._noise = noise_of(self._at, is_rough=not self._leaves_out)
         self._runs = replace(self._at, noise=self._noise)
 
     def _equations(self, weights: Array, scale: float) -> Equations:
