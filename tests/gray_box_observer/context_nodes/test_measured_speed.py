@@ -35,7 +35,7 @@ from gray_box_observer.csv_import.column_expressions import Expression
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.expressions.formula import Formula
-from gray_box_observer.fit_test.window_test import MotorUnderTest
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import ReplayBuffer, Sample

@@ -28,12 +28,12 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.least_squares import LEAST_SQUARES, allowances_of_stamps
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.saved_test import check_evidence
 from gray_box_observer.fit_test.stamp_errors import DELAY, StampError
-from gray_box_observer.fit_test.window_test import MotorUnderTest
 from gray_box_observer.samples import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates

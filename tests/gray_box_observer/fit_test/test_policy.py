@@ -25,6 +25,7 @@ from gray_box_observer.fit_test.policy import (
     WHITENESS_DOUBT,
     WHITENESS_WIDENS,
     Judgement,
+    is_dubious,
     judge,
 )
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, bandwidth
@@ -68,6 +69,16 @@ def analysis(**findings: object) -> ResidualAnalysis:
 
 def judgement_of(samples: int = SAMPLES, **findings: object) -> Judgement:
     return judge(analysis(**findings), STD, samples, speed_measured=True, stamps_exact=True)
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'whiteness', 'expected'),
+    [(1.0, 1.0, False), (2.0, 1.0, True), (1.0, 4.0, True), (np.nan, 1.0, True)],
+)
+def test_a_residual_that_is_large_or_coloured_or_no_number_is_dubious(
+    ratio: float, whiteness: float, *, expected: bool
+) -> None:
+    assert is_dubious(analysis(ratio=ratio, whiteness=whiteness)) is expected
 
 
 def judgement(seed: int, parameters: int) -> Judgement:

@@ -22,7 +22,8 @@ from gray_box_observer.context_nodes.measured_speed import output_fit
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.fit_test import FitVerdict, residual_analysis
+from gray_box_observer.fit_test import FitVerdict, fitted_residual
+from gray_box_observer.fit_test.fitted_residual import LAGS, ljung_box
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.policy import (
     FEW_PERIODS,
@@ -32,7 +33,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
 )
 from gray_box_observer.fit_test.projection import Projection, bandwidth, long_run_covariance
-from gray_box_observer.fit_test.residual_analysis import LAGS, analyse, ljung_box
+from gray_box_observer.fit_test.residual_analysis import analyse
 
 SAMPLES = 4000
 STD_A = 0.05
@@ -279,5 +280,5 @@ def test_a_free_run_that_never_moves_says_nothing_of_the_stamps(
         yield 0
         return run
 
-    monkeypatch.setattr(residual_analysis, 'free_run_in_pieces', at_once)
+    monkeypatch.setattr(fitted_residual, 'free_run_in_pieces', at_once)
     assert analyse(WHITE_BOX, TRUTH, stretch).jitter == 0.0

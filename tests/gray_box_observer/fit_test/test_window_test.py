@@ -18,11 +18,13 @@ from linear_motor_records import (
 )
 
 from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.fit_test import window_test
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import PASSING, FitResult
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
+from gray_box_observer.fit_test.window_test import WindowTest
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.configuration import Configuration
@@ -127,6 +129,24 @@ def test_a_test_in_pieces_tests_the_samples_with_which_it_began() -> None:
             break
     block = Configuration.from_flat({})['recursive.block']
     assert 5 < count // FEW < block, 'the rest would hold up the next estimate'
+
+
+def test_newest_samples_that_leave_noise_alone_are_analysed_no_further(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    voltage_v = steps(FEW, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(FEW, 0.05, 7))
+    motor = record.observed(stamps_exact=True).motors['motor']
+    nodes = motor.observer.context_nodes
+    test = WindowTest(motor.configuration, motor.white_box, 'current')
+    before = result(FitVerdict.OK, has_fitted=True)
+    healthy = MotorUnderTest.view(nodes, motor.estimate, 0, DelayEstimate(0.0, False), before)
+    wrong = replace(motor.estimate, value=1.3 * motor.estimate.value)
+    changed = test.test_change(replace(healthy, estimate=wrong), FEW)
+    assert changed is not None
+    assert changed.assessment.verdict is FitVerdict.MISFIT
+    monkeypatch.setattr(window_test, 'analysis_in_pieces', None)
+    assert test.test_change(healthy, FEW) is None
 
 
 def _digest(result: FitResult) -> tuple[object, ...]:

@@ -15,8 +15,9 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE
 from gray_box_observer.fit_test.fit_result import FitResult
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.fit_test.window_test import MotorUnderTest, WindowTest
+from gray_box_observer.fit_test.window_test import WindowTest
 from gray_box_observer.observer.builder import context_nodes
 from gray_box_observer.observer.deferred_fit_test import ALONE, DeferredFitTest
 from gray_box_observer.observer.motor_observer import MotorObserver

@@ -20,9 +20,10 @@ from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
 from gray_box_observer.fit_test.speed_basis import SpeedBasis
-from gray_box_observer.fit_test.window_test import RECENT, MotorUnderTest, WindowTest
+from gray_box_observer.fit_test.window_test import RECENT, WindowTest
 from gray_box_observer.safe_io.saved_state import group
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -137,7 +138,7 @@ class FitMonitor:
     ) -> MotorUnderTest:
         """Note that a motor is tested; return it as it is now."""
         subject = MotorUnderTest.view(nodes, estimate, motor, delay, self._results[motor])
-        self.schedule.begin_test(motor, subject.place)
+        self.schedule.begin_test(motor, subject.place, estimate.stamp_ns)
         return subject
 
     def follow(self, motor: int, result: FitResult) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.context_nodes.rotor.window_learner import REACH_OF_INDUCTANCE
 from gray_box_observer.fit_test.assessment import FitVerdict
+from gray_box_observer.fit_test.fitted_residual import FittedResidual
 from gray_box_observer.fit_test.projection import bandwidth
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
 from gray_box_observer.fit_test.smoothed_current import SMOOTHEST
@@ -288,9 +289,9 @@ def _within_reach(shift: Array) -> Array:
     return shift if not size > REACH_OF_INDUCTANCE else shift * (REACH_OF_INDUCTANCE / size)
 
 
-def is_dubious(analysis: ResidualAnalysis) -> bool:
-    """Tell whether to ask the voltage balance what is left out: that takes more to be believed."""
-    return analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_ASKS
+def is_dubious(residual: FittedResidual | ResidualAnalysis) -> bool:
+    """Tell whether to ask what is left out: a residual is larger or less white than most."""
+    return not (residual.ratio <= RATIO_WARNING and residual.whiteness <= WHITENESS_ASKS)
 
 
 def _is_large(analysis: ResidualAnalysis) -> bool:

@@ -1,8 +1,7 @@
-"""Residual analysis of a free run: size, whiteness, and what missing effects explain.
+"""Residual analysis of a free run: what its residual leaves open, and what missing effects explain.
 
-Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a
-noise floor, the Ljung-Box statistic, and a score test of every effect. The covariance of the scores
-holds for correlated residuals too (Newey and West 1987).
+Tests after Davidson and MacKinnon (2004, chapter 6): a score test of every effect. The covariance
+of the scores holds for correlated residuals too (Newey and West 1987).
 """
 
 from __future__ import annotations
@@ -30,7 +29,8 @@ from gray_box_observer.fit_test.effects import (
     possible_effects,
 )
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
-from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
+from gray_box_observer.fit_test.fitted_residual import fitted_residual_in_pieces
+from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.friction_doubts import friction_doubts
 from gray_box_observer.fit_test.hidden_rotor import hidden_rotor_doubts
 from gray_box_observer.fit_test.input_noise import (
@@ -39,7 +39,6 @@ from gray_box_observer.fit_test.input_noise import (
     input_noise_scores,
     shows_noise,
     voltage_variances,
-    with_voltage_noise,
 )
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.least_squares import (
@@ -54,7 +53,6 @@ from gray_box_observer.fit_test.projection import (
     Projection,
     long_run_covariance,
 )
-from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
 from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
@@ -67,17 +65,10 @@ from gray_box_observer.fit_test.stamp_errors import (
 )
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
-from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-LAGS = 20
-"""Autocorrelations that the Ljung-Box statistic takes in."""
-
-CREDIBLE = 6.0
-"""Standard deviations beyond which a residual counts for no more: an outlier is not a misfit."""
 
 RESPONSES = 8
 """Responses to effects, or effects, that are dealt with in one piece."""
@@ -85,19 +76,9 @@ RESPONSES = 8
 LIKELY = 10.0
 """Score, by white residuals, from which an effect is worth the robust test."""
 
-COLOURED = 3.0
-"""Whiteness from which correlated residuals are taken into the covariance of the parameters."""
-
-WORK_OF_COLUMNS = 1000
-"""Products of numbers that are one piece of work."""
-
 COLOURED_ROTOR = 25.0
 """Whiteness from which a rotor's delays and lags are asked for in every shape that they have: its
 fit leaves out, as outliers, the samples behind a step that would show them."""
-
-INTEGRATION = 1e-4
-"""Noise floor that is believed at least, as a share of the current's spread: steps of the
-integration err by less."""
 
 STEEPEST = 0.02
 """Share of the samples, the steepest ones of the current, in which errors of the stamps would show.
@@ -115,9 +96,6 @@ PERSISTENT_LAG = 1.0 / 3.0
 
 FEWEST_MECHANICAL = 20.0
 """Sample intervals in such a time constant, from which noise with a memory is none of a load."""
-
-SMALLEST = 1e-12
-"""Noise floor in A that is believed at least, where no current flows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,26 +175,6 @@ def _moving_noise(residual: Array, readings: Array) -> float:
     )
 
 
-def ljung_box(residual: Array, lags: int = LAGS, of_white: Array | float = 0.0) -> float:
-    """Return the Ljung-Box statistic over its degrees of freedom; about 1 for white noise.
-
-    Args:
-        residual: shape (sample,).
-        lags: up to which correlations count.
-        of_white: shape (lag,): correlations that white noise would have here.
-    """
-    count = residual.size
-    deviation = residual - residual.mean()
-    power = float(deviation @ deviation)
-    if power <= 0.0:
-        return 0.0
-    correlations = (
-        np.array([float(deviation[lag:] @ deviation[:-lag]) for lag in range(1, lags + 1)]) / power
-    )
-    weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
-    return float(weights @ (correlations - of_white) ** 2) / lags
-
-
 def analyse(
     white_box: WhiteBox,
     p: Array,
@@ -279,44 +237,24 @@ def analysis_in_pieces(
         knows_voltage_noise: whether the fit has taken off what noise of the voltage does.
     """
     work = stretch.state.size
-    if white_box.has_rotor:
-        run = yield from rotor_free_run_in_pieces(white_box, p, stretch)
-    else:
-        run = yield from free_run_in_pieces(white_box, p, stretch)
-    yield work
-    step_a = float(quantisation_step(stretch.state)[0])
-    least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
+    run_residual = yield from fitted_residual_in_pieces(
+        white_box, p, stretch, is_drifting=is_drifting, knows_voltage_noise=knows_voltage_noise
+    )
+    run = run_residual.run
+    projection = run_residual.projection
+    residual = run_residual.residual_a
+    whiteness = run_residual.whiteness
+    is_white = run_residual.is_white
+    least_a = run_residual.least_a
     theta = to_parameters(p)[0]
-    if knows_voltage_noise:
-        run = with_voltage_noise(white_box, theta, run)
-    floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
-    limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
-    residual = np.clip(run.residual_a, -limit_a, limit_a)
-    base = np.column_stack([run.jacobian, *run.further])
-    if is_drifting:
-        base = np.column_stack([base, *run.response(_ramps(white_box, run))])
-    yield 0
-    projection = Projection(base, residual, run.weight, run.jacobian.shape[1])
-    yield max(work, base.shape[0] * base.shape[1] ** 2 // WORK_OF_COLUMNS)
-    has_load = white_box.load_varies
-    residual = projection.remainder if is_drifting or has_load else projection.residual
-    freedom = max(residual.size - base.shape[1], 1) if has_load else residual.size
-    size_a = math.sqrt(float(residual @ residual) / freedom)
-    of_white = projection.correlations_of_white(LAGS) if has_load else 0.0
-    whiteness = ljung_box(residual, of_white=of_white) if size_a > least_a else 1.0
-    is_white = whiteness <= COLOURED
-    innovation_size_a = size_a
     bias = None
     if run.noise is not NO_NOISE:
-        innovation = run.innovation_of(residual)
-        innovation_size_a = math.sqrt(float(innovation @ innovation) / freedom)
-        whiteness = ljung_box(innovation, of_white=of_white) if size_a > least_a else 1.0
         assert isinstance(white_box, MotorWhiteBox)
         bias = VoltageNoiseBias.of_run(white_box, theta, run, projection)
     late_remainder = None
     if white_box.has_rotor and whiteness > COLOURED_ROTOR:
         late_remainder = projection.without(projection.with_weight(run.residual_a))
-    noise_a = max(size_a, floor_a)
+    noise_a = max(run_residual.size_a, run_residual.floor_a)
     robust_std = np.full(p.shape[1], np.nan) if is_white else projection.robust_std()
     yield work
     responses_a = stamp_responses(run)
@@ -347,7 +285,8 @@ def analysis_in_pieces(
     evidence = pooled_evidence(earlier, window, least_squares, allowances, count, new_count)
     yield work
     intervals = _intervals(white_box, p, stretch)
-    rounding_a = projection.with_weight(rounding_errors(run, step_a, size_a))
+    rounding_a = rounding_errors(run, run_residual.step_a, run_residual.size_a)
+    rounding_a = projection.with_weight(rounding_a)
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
@@ -377,14 +316,14 @@ def analysis_in_pieces(
     yield 0
     return ResidualAnalysis(
         samples=residual.size,
-        floor_a=floor_a,
-        ratio=innovation_size_a / floor_a,
+        floor_a=run_residual.floor_a,
+        ratio=run_residual.ratio,
         whiteness=whiteness,
         scores=scores,
         robust_std=robust_std,
         stamps=stamps,
         intervals=intervals,
-        jitter=_jitter(run, projection.remainder, floor_a),
+        jitter=_jitter(run, projection.remainder, run_residual.floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
         open_shifts=np.concatenate(open_shifts),
         smoothing_shifts=np.concatenate([np.empty((0, theta.size)), *smoothing_shifts]),
@@ -461,13 +400,6 @@ def _persistence(residual: Array, intervals: float) -> float:
     deviation = residual - residual.mean()
     soon = float(deviation[1:] @ deviation[:-1])
     return float(deviation[later:] @ deviation[:-later]) / soon if soon > 0.0 else 0.0
-
-
-def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
-    """Voltages of a resistance that drifts, shape (power, k)."""
-    progress = np.linspace(-1.0, 1.0, run.decay.size)
-    current_a = interval_means(run.current_a)
-    return np.stack([-current_a * progress**power for power in (1, 2, 3)])
 
 
 def _scores(

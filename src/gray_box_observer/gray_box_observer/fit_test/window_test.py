@@ -8,17 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import (
-    MeasuredSpeedUpdate,
-    RotorUpdate,
-    speed_readings,
-)
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
-from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.context_nodes.pieces import Pieces, completed, without_warnings
 from gray_box_observer.context_nodes.recursive.constant_voltage import FROM_REST, RISEN
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import MILD, FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.coasting import seems_to_coast
@@ -41,9 +34,11 @@ from gray_box_observer.fit_test.effects import (
     ROTOR_REMEDIES,
     load_remedy,
 )
-from gray_box_observer.fit_test.evidence import NO_EVIDENCE, WINDOW, Evidence
+from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import wait_after
+from gray_box_observer.fit_test.fitted_residual import fitted_residual_in_pieces
+from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.policy import (
     NOTICEABLE,
     RATIO_MISFIT,
@@ -70,7 +65,7 @@ from gray_box_observer.fit_test.suspects import (
 )
 from gray_box_observer.fit_test.twin_effects import OFFSET
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE, is_lone
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.settings.motor_configuration import (
     BACK_EMF,
@@ -102,138 +97,6 @@ small residual; else the free run is asked."""
 PERSISTENT = 0.8
 """Share of a residual's correlation, a third of a mechanical time constant later, from which it is
 that of a load: 0.85 and more of loads, up to 0.79 of all else."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotorUnderTest:
-    """A motor, as it is when its test begins: more samples may come before the test ends.
-
-    Whether there is a test is asked of a view of its samples; :meth:`snapshot` keeps them.
-
-    Attributes:
-        estimate: of this motor alone, as the rule gives it.
-        delay: what is known of its delay.
-        before: what its last test has left; None: there was none.
-        place: of its newest sample.
-        begin: place before the oldest sample that counts.
-        present_since: place from which it is the motor that it is now.
-        is_drifting: whether it is known to drift.
-        content: its newest samples, also those that are learnt from no more, shape (signal, 1, n).
-        stored_count: samples that are there.
-        remembered_count: those of them that are learnt from.
-        measured_rad_s: shape (n,): readings of the speed, where the samples hold that of the whole
-            motor; else None.
-        is_lagging: whether a lag of the current sensor was found beside a measured speed, and the
-            samples are free of it: the search for a delay finds that.
-        late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
-            that acts late; None: nothing.
-        knows_voltage_noise: whether its fit has taken off what noise of the voltage does.
-    """
-
-    estimate: Estimate
-    delay: DelayEstimate
-    before: FitResult | None
-    place: int
-    begin: int
-    present_since: int
-    is_drifting: bool
-    content: Array
-    stored_count: int
-    remembered_count: int
-    measured_rad_s: Array | None
-    is_lagging: bool
-    late_instant: LateInstant | None
-    knows_voltage_noise: bool
-
-    @classmethod
-    def view(
-        cls,
-        nodes: ContextUpdate,
-        estimate: Estimate,
-        motor: int,
-        delay: DelayEstimate,
-        before: FitResult | None,
-    ) -> MotorUnderTest:
-        """Return a motor as it is until the next sample comes.
-
-        Args:
-            nodes: the rule that has learnt it, perhaps with others.
-            estimate: of this motor alone, as the rule gives it.
-            motor: its place on the motor axis.
-            delay: what is known of its delay.
-            before: what its last test has left; None: there was none.
-        """
-        one = slice(motor, motor + 1)
-        replay = nodes.replay
-        # also after a restart: a checkpoint holds no more
-        stored_count = min(replay.stored(motor), replay.capacity)
-        count = min(stored_count, WINDOW)
-        content = replay.newest(count, one)
-        readings = speed_readings(nodes, count)
-        remembered_count = int(replay.remembered(one)[0])
-        lone = is_lone(content)
-        if lone.any():
-            counts = ~lone
-            content = content[:, :, counts]
-            readings = None if readings is None else readings[counts]
-            oldest = count - min(remembered_count, count)
-            remembered_count = int(np.count_nonzero(counts[oldest:]))
-            stored_count = content.shape[2]
-        return cls(
-            estimate,
-            delay,
-            before,
-            replay.received_of(motor),
-            replay.begin_of(motor),
-            nodes.present_since(motor),
-            nodes.is_drifting(motor),
-            content,
-            stored_count,
-            remembered_count,
-            readings,
-            isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
-            nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
-            knows_voltage_noise(nodes),
-        )
-
-    def snapshot(self) -> MotorUnderTest:
-        """Return it with samples of its own, which no other overwrites."""
-        rows = self.content.transpose(2, 0, 1)
-        return replace(self, content=rows.copy().transpose(1, 2, 0))
-
-    def count(self, most: int) -> int:
-        """Return how many of its newest samples count, up to a number.
-
-        Those before a change do not. But only a motor that was known can have changed: of one that
-        was tested and never fitted all that are stored count.
-        """
-        if self.before is not None and not self.before.has_fitted:
-            return min(self.stored_count, most)
-        return min(self.remembered_count, most)
-
-    @property
-    def evidence(self) -> Evidence:
-        """What its tests have told together, since it, its delay or its speed was found another."""
-        before = self.before
-        if before is None or before.delay_s != self.delay.applied_s:
-            return NO_EVIDENCE
-        is_same = self.present_since == before.present_since
-        return before.evidence if is_same else NO_EVIDENCE
-
-    @property
-    def new_samples(self) -> int:
-        """How many have come since its last test."""
-        before = self.before
-        return self.place - (self.begin if before is None else before.place)
-
-    def newest(self, count: int) -> Array:
-        """Return its newest samples, shape (signal, 1, n)."""
-        return self.content[:, :, self.content.shape[2] - count :]
-
-    def newest_measured(self, count: int) -> Array | None:
-        """Return the readings of its speed at these, shape (n,)."""
-        readings = self.measured_rad_s
-        return None if readings is None else readings[readings.size - count :]
 
 
 @dataclass(frozen=True)
@@ -311,7 +174,12 @@ class WindowTest:
         return result
 
     def test_change(self, motor: MotorUnderTest, count: int) -> FitResult | None:
-        """Test so many newest samples of a motor that has passed; None where it still does."""
+        """Test so many newest samples of a motor that has passed; None where it still does.
+
+        What else may be left out is asked where the residual is no noise alone.
+        """
+        if self._is_explained(motor, count):
+            return None
         finding = completed(self._look(motor, count))
         before = motor.before
         verdict = finding.judgement.verdict
@@ -327,6 +195,17 @@ class WindowTest:
             suspects=[*finding.suspects, change],
         )
         return completed(self._conclude(motor, count, finding))
+
+    def _is_explained(self, motor: MotorUnderTest, count: int) -> bool:
+        """Tell whether so many newest samples leave no more than noise, by its size and colour."""
+        pieces = fitted_residual_in_pieces(
+            self.white_box,
+            to_coordinates(motor.estimate.value),
+            SampleWindow.of_content(self.white_box, np.ascontiguousarray(motor.newest(count))),
+            is_drifting=motor.is_drifting,
+            knows_voltage_noise=motor.knows_voltage_noise,
+        )
+        return not is_dubious(completed(without_warnings(pieces)))
 
     def _look(self, motor: MotorUnderTest, count: int) -> Pieces[_Finding]:
         """Analyse so many newest samples, and ask whether the data themselves are in doubt."""
@@ -575,11 +454,6 @@ class WindowTest:
         """Name a load on the shaft, as which an offset of the current of a rotor shows, too."""
         remedy = load_remedy(*filter(self.configuration.has_value, LOADS))
         return Suspect(LOAD, evidence, remedy.format(motor=self.configuration.name))
-
-
-def knows_voltage_noise(nodes: ContextUpdate) -> bool:
-    """Tell whether the newest fit of a rule has taken off what noise of the voltage does."""
-    return isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.knows_voltage_noise
 
 
 def _clearest(candidates: Mapping[str, Explanation]) -> float:

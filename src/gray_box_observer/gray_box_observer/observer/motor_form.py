@@ -20,10 +20,10 @@ from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.fit_test.motor_under_test import knows_voltage_noise
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
-from gray_box_observer.fit_test.window_test import knows_voltage_noise
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample

@@ -322,7 +322,7 @@ class MotorObserver:
         if not has_changed:
             self.changed_motors = _NOBODY
             if self._speed is not None:
-                self._tests.schedule_newest()
+                self._tests.schedule_newest(sample.stamp_ns)
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)

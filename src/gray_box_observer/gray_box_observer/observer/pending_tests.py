@@ -121,10 +121,14 @@ class PendingTests:
             else:
                 self._tests_due.append((motor, False))
 
-    def schedule_newest(self) -> None:
-        """Ask of a motor with a rotor whether its newest samples alone are to be tested."""
+    def schedule_newest(self, stamp_ns: int) -> None:
+        """Ask of a motor with a rotor whether its newest samples alone are to be tested.
+
+        Args:
+            stamp_ns: of the newest sample.
+        """
         replay = self._belief.context_nodes.replay
-        if not self._tests_due and self._schedule.is_stale(replay, 0):
+        if not self._tests_due and self._schedule.is_stale(replay, 0, stamp_ns):
             self._tests_due.append((0, True))
 
     def test(
