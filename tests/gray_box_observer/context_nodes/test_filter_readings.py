@@ -138,10 +138,3 @@ def test_a_motor_that_swings_is_filtered_too() -> None:
     assert isinstance(sensor, FilterReadings)
     assert np.isfinite(sensor.current_a).all()
     assert np.ptp(sensor.current_a) < np.ptp(runs.runs[0].states[:, 0])
-
-
-def test_what_noise_remembers_is_taken_off() -> None:
-    sensor = CurrentSensor(1.0, memory=0.5)
-    np.testing.assert_allclose(sensor.whitened(np.array([2.0, 1.0, 0.5])), [np.sqrt(3.0), 0.0, 0.0])
-    noise = np.random.default_rng(1).normal(size=3)
-    np.testing.assert_array_equal(CurrentSensor(1.0).whitened(noise), noise)

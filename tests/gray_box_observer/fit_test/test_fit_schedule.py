@@ -14,7 +14,6 @@ from gray_box_observer.fit_test.fit_result import PASSING, FitResult
 from gray_box_observer.fit_test.fit_schedule import (
     LONGEST_SOON,
     RECENT_WAIT,
-    RECENT_WAIT_NS,
     SHORTEST_WAIT,
     UNASKED,
     FitSchedule,
@@ -115,23 +114,13 @@ def test_the_wait_follows_the_samples_and_doubles_after_misfits() -> None:
 
 def test_newest_samples_are_tested_only_of_a_motor_that_has_passed(schedule: FitSchedule) -> None:
     late = Streams(1, 1000 + RECENT_WAIT)
-    assert not schedule.is_stale(late, 0, RECENT_WAIT_NS)
-    schedule.begin_test(0, 1000, 0)
+    assert not schedule.is_stale(late, 0)
+    schedule.begin_test(0, 1000)
     schedule.follow(0, result_at(1000, FitVerdict.MISFIT, LONGEST_WAIT))
-    assert not schedule.is_stale(late, 0, RECENT_WAIT_NS)
+    assert not schedule.is_stale(late, 0)
     schedule.follow(0, result_at(1000, FitVerdict.WARNING, LONGEST_WAIT))
-    assert schedule.is_stale(late, 0, RECENT_WAIT_NS)
-    assert not schedule.is_stale(Streams(1, 999 + RECENT_WAIT), 0, RECENT_WAIT_NS)
-
-
-def test_newest_samples_that_come_fast_are_tested_once_a_second(schedule: FitSchedule) -> None:
-    late = Streams(1, 1000 + RECENT_WAIT)
-    begin_ns = 5 * RECENT_WAIT_NS
-    schedule.begin_test(0, 1000, begin_ns)
-    schedule.follow(0, result_at(1000, FitVerdict.OK, LONGEST_WAIT))
-    assert not schedule.is_stale(late, 0, begin_ns + RECENT_WAIT_NS - 1)
-    assert schedule.is_stale(late, 0, begin_ns + RECENT_WAIT_NS)
-    assert schedule.is_stale(late, 0, 0), 'stamps of another recording'
+    assert schedule.is_stale(late, 0)
+    assert not schedule.is_stale(Streams(1, 999 + RECENT_WAIT), 0)
 
 
 @pytest.mark.parametrize('fit', [FitVerdict.OK, FitVerdict.MISFIT, None])
@@ -193,7 +182,7 @@ def test_a_restored_schedule_asks_at_the_same_samples(
 def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restored() -> None:
     """The samples of a measured speed end with the last fit of the whole motor."""
     schedule = FitSchedule(np.array([64]), 2)
-    schedule.begin_test(0, 512, 7)
+    schedule.begin_test(0, 512)
     schedule.follow(0, result_at(512, FitVerdict.OK, 512))
     state = schedule.state(0, 320)
     result = result_at(512, FitVerdict.OK, 512).state(320)

@@ -39,7 +39,7 @@ class Schedule:
         """Tell whether the estimate waits for the test."""
         return motor in self.urgent_motors
 
-    def is_stale(self, replay: object, motor: int, stamp_ns: int) -> bool:
+    def is_stale(self, replay: object, motor: int) -> bool:
         """Tell whether the newest samples are to be tested."""
         return self.stale
 
@@ -147,11 +147,11 @@ def test_a_piece_comes_before_what_is_due_and_is_left_out_where_samples_are_lear
     bench.run()
     bench.tests.begin_sample()
     bench.schedule.stale = True
-    bench.tests.schedule_newest(0)
+    bench.tests.schedule_newest()
     bench.log.clear()
     bench.tests.complete_due()
     assert [entry[0] for entry in bench.log] == ['newest', 'note', 'keep']
-    bench.tests.schedule_newest(0)
+    bench.tests.schedule_newest()
     assert [entry if entry == 'piece' else entry[0] for entry in bench.run()] == [
         'piece', 'newest', 'note', 'keep',
     ]  # fmt: skip
@@ -171,7 +171,7 @@ def test_the_newest_samples_alone_are_tested_where_they_are_stale_and_nothing_is
     bench = Bench(2)
     bench.schedule.stale = is_stale
     for _ in range(2):
-        bench.tests.schedule_newest(0)
+        bench.tests.schedule_newest()
     done = [entry[0] for entry in bench.run()]
     assert done == (['newest', 'note', 'keep'] if is_stale else [])
 
@@ -184,7 +184,7 @@ def test_giving_up_leaves_nothing() -> None:
     bench.run()
     bench.estimated(0)
     bench.schedule.stale = True
-    bench.tests.schedule_newest(0)
+    bench.tests.schedule_newest()
     bench.tests.give_up()
     assert not bench.tests.is_waiting
     assert bench.tests.later_result() is None

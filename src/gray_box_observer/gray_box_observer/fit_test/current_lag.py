@@ -7,13 +7,17 @@ two first-order lags in a row, whose order the current does not show: either may
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, recurrence
+from gray_box_observer.context_nodes.rotor.noise_memory import memory_of
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.projection import Doubt
-from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
 from gray_box_observer.fit_test.stamp_errors import STAMP_STD
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.settings.sensor_lag import CurrentLag
@@ -32,32 +36,63 @@ LEAST = 1e-6
 """Share of a sample interval: a lag that is less is none."""
 
 
+class LagStep(NamedTuple):
+    """What the residual of a free run tells of the lag that was assumed.
+
+    Attributes:
+        step_s: by how much it is too short.
+        std_s: standard deviation of that.
+        memory: correlation of the current's noise at two samples in a row, as a filter of the lag
+            that is right may have it; 0 without a rotor.
+    """
+
+    step_s: float
+    std_s: float
+    memory: float
+
+
 def lag_step(
-    white_box: MotorWhiteBox, theta: Array, content: Array, lag_s: float
-) -> tuple[float, float]:
-    """Return by how much a lag is too short, and the standard deviation of that, in s.
+    white_box: MotorWhiteBox, theta: Array, content: Array, lag: CurrentLag | None
+) -> LagStep:
+    """Return by how much a lag is too short, in one Gauss-Newton step.
 
     Args:
         white_box: of one motor.
         theta: shape (1, parameter): values that were found with the lag.
         content: shape (signal, 1, n): samples, with the voltages that the white box takes.
-        lag_s: the lag; 0: none was assumed.
+        lag: that was assumed; None: none was.
     """
     stretch = SampleWindow.of_content(white_box, np.ascontiguousarray(content))
-    run_freely = rotor_free_run if white_box.has_rotor else free_run
-    run = run_freely(white_box, to_coordinates(theta), stretch)
+    p = to_coordinates(theta)
+    if white_box.has_rotor:
+        run = rotor_free_run(white_box, p, stretch, 0.0 if lag is None else lag.memory)
+    else:
+        run = free_run(white_box, p, stretch)
     columns = run.jacobian[:, 1:]
-    _, distinct = run.explain(_by_lag(run, lag_s), columns)
+    _, distinct = run.explain(_by_lag(run, lag), columns)
     noise_a = MAD_TO_STD * float(median(np.abs(run.residual_a)))
     residual = run.residual_a * np.sqrt(run.weight)
     power = float(distinct @ distinct)
-    if not power > 0.0:
-        return 0.0, np.inf
-    return float(distinct @ residual) / power, noise_a / np.sqrt(power)
+    memory = 0.0
+    step_s = float(distinct @ residual) / power if power > 0.0 else 0.0
+    std_s = noise_a / math.sqrt(power) if power > 0.0 else math.inf
+    if isinstance(run, RotorFreeRun):
+        lag_s = step_s + (0.0 if lag is None else lag.lag_s)
+        memory = memory_of(run.runs.misread_a, _kept_share(run, lag_s))
+    return LagStep(step_s, std_s, memory)
 
 
-def _by_lag(run: FreeRun, lag_s: float) -> Array:
+def _kept_share(run: FreeRun, lag_s: float) -> float:
+    """Return what a filter leaves of a reading after the usual interval; 0: nothing."""
+    interval_s = run.stretch.interval_s[run.stretch.interval_s > 0.0]
+    if not (lag_s > 0.0 and interval_s.size):
+        return 0.0
+    return math.exp(-float(median(interval_s)) / lag_s)
+
+
+def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
     """Differentiate the current of a run by the lag, shape (k + 1,), in A/s."""
+    lag_s = 0.0 if lag is None else lag.lag_s
     interval_s = run.stretch.interval_s[0]
     is_whole = run.is_whole
     if not is_whole.any():
@@ -66,21 +101,25 @@ def _by_lag(run: FreeRun, lag_s: float) -> Array:
     slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope
+    if lag is not None and lag.is_digital:
+        inputs = slope * remainder / (1.0 - remainder) * (interval_s / lag_s) ** 2
     by_lag: Array = -recurrence(remainder[None], inputs[None, None], np.zeros((1, 1)))[0, 0]
-    return by_lag
+    return run.beyond_memory(by_lag)
 
 
-def lag_doubts(run: FreeRun, lag_s: float) -> list[Doubt]:
+def lag_doubts(run: FreeRun, lag: CurrentLag | None) -> list[Doubt]:
     """Return what a lag that was found not quite right does to an estimate.
 
     Args:
         run: the free run at the present values.
-        lag_s: the lag; 0: none was found.
+        lag: as it was found; None: none was.
     """
-    return [Doubt(lag_s * _by_lag(run, lag_s))] if lag_s else []
+    return [] if lag is None else [Doubt(lag.lag_s * _by_lag(run, lag))]
 
 
-def shifts_behind_lag(white_box: WhiteBox, run: FreeRun, theta: Array, lag_s: float) -> Array:
+def shifts_behind_lag(
+    white_box: WhiteBox, run: FreeRun, theta: Array, lag: CurrentLag | None
+) -> Array:
     """Return how a lag moves the logarithms of the parameters through what is not linear.
 
     The voltage of an effect is that of the current itself, and passes the filter as a voltage. The
@@ -91,14 +130,15 @@ def shifts_behind_lag(white_box: WhiteBox, run: FreeRun, theta: Array, lag_s: fl
         white_box: of one motor.
         run: its free run at the present values.
         theta: shape (parameter,): these.
-        lag_s: the lag; 0: there is none.
+        lag: as it was found; None: there is none.
 
     Returns:
         Shape (1, parameter), or none of them.
     """
     nothing = np.empty((0, theta.size))
-    if not lag_s or white_box.has_rotor or white_box.speed_measured:
+    if lag is None or white_box.has_rotor or white_box.speed_measured:
         return nothing
+    lag_s = lag.lag_s
     interval_s = np.where(run.is_whole, run.stretch.interval_s[0], 0.0)
     late_a = interval_means(run.current_a)
     slope = np.where(run.is_whole, np.diff(run.current_a) / np.maximum(interval_s, 1e-12), 0.0)
@@ -108,7 +148,7 @@ def shifts_behind_lag(white_box: WhiteBox, run: FreeRun, theta: Array, lag_s: fl
     inputs_v = (1.0 - remainder) * early_v
     filter_v = recurrence(remainder[None], inputs_v[None, None], early_v[None, :1])[0, 0, 1:]
     response_a = run.response(-(filter_v - late_v)[None])[0]
-    columns = np.column_stack([swapped_logarithms(run.jacobian[:, 1:]), _by_lag(run, lag_s)])
+    columns = np.column_stack([swapped_logarithms(run.jacobian[:, 1:]), _by_lag(run, lag)])
     if not np.isfinite(response_a).all():  # of an absurd motor
         return nothing
     amounts, _ = run.explain(response_a, columns)
@@ -137,7 +177,7 @@ def lag_shifts(
 ) -> Array:
     """Return how far parameters may be off beside a lag that was found, relative to them.
 
-    * The winding may be the sensor, and the sensor the winding.
+    * The winding may be the sensor, and the sensor the winding. The filter may be of another kind.
     * Stamps that are late by ``d`` look like another lag, and move L/R by ``d lag / (L/R - lag)``:
       so the sum of all delays stays, and that of their squares.
     * The voltage that moves the winding to the right end of an interval moves it by another mean,
@@ -159,13 +199,12 @@ def lag_shifts(
     values = white_box.values(theta)
     winding_s = values['inductance'] / values['resistance']
     shifts = list(np.diag(np.full(len(names), NONLINEAR)))
-    if lag.other_order:
-        shifts.append(np.array(lag.other_order))
+    shifts += [np.array(shift) for shift in lag.rivals]
     if not stamps_exact:
         apart_s = max(abs(winding_s - lag.lag_s), LEAST * lag.lag_s)
         share = STAMP_STD * interval_s * lag.lag_s / (apart_s * winding_s)
         shifts.append(np.array([share * (name == 'inductance') for name in names]))
-    if white_box.has_rotor:
+    if white_box.has_rotor and not lag.is_digital:
         stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
         square_s2 = values['inductance'] * values['inertia'] / stiffness
         share = interval_s**2 / (12.0 * square_s2)

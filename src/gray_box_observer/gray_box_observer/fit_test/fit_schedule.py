@@ -24,10 +24,7 @@ SHORTEST_WAIT = 64
 """Samples between two tests of a motor, at least."""
 
 RECENT_WAIT = 256
-"""Samples between two tests of the newest samples alone, at least."""
-
-RECENT_WAIT_NS = 1_000_000_000
-"""Time between two such tests, at least: a change is told in seconds, however fast samples come."""
+"""Samples between two tests of the newest samples alone."""
 
 LONGEST_SOON = 512
 """Samples between two tests, at most, of a motor that does not fit and has become another one."""
@@ -105,7 +102,6 @@ class FitSchedule:
         self._soon = np.full(count, NEVER)
         self._begin = np.full(count, NEVER)
         self._tested_at = np.zeros(count, dtype=np.int64)
-        self._tested_ns = np.zeros(count, dtype=np.int64)
         self._lowest = np.full((count, parameters), np.nan)
         self._highest = np.full((count, parameters), np.nan)
         self._has_result = np.zeros(count, dtype=bool)
@@ -190,35 +186,29 @@ class FitSchedule:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
         return motor in self._movers or not self._has_passed[motor]
 
-    def is_stale(self, replay: ReplayBuffer, motor: int, stamp_ns: int) -> bool:
+    def is_stale(self, replay: ReplayBuffer, motor: int) -> bool:
         """Tell whether a motor with a rotor is to be tested by its newest samples.
 
         Args:
             replay: samples of all motors.
             motor: its place on the motor axis.
-            stamp_ns: of its newest sample.
         """
         wait: int = replay.received_of(motor) - self._tested_at.item(motor)
-        if wait < RECENT_WAIT or not self._has_passed[motor]:
-            return False
-        wait_ns = abs(stamp_ns - self._tested_ns.item(motor))  # another recording may be older
-        return bool(wait_ns >= RECENT_WAIT_NS)
+        return wait >= RECENT_WAIT and bool(self._has_passed[motor])
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
         """Tell whether a first test is worth its time: something would be believed without it."""
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
         return bool(self._has_result[motor]) or hopeful or bool(place >= UNASKED)
 
-    def begin_test(self, motor: int, place: int, stamp_ns: int) -> None:
+    def begin_test(self, motor: int, place: int) -> None:
         """Note that a motor is tested.
 
         Args:
             motor: its place on the motor axis.
-            place: of its newest sample, in its stream.
-            stamp_ns: of the same.
+            place: in its stream of samples.
         """
         self._tested_at[motor] = place
-        self._tested_ns[motor] = stamp_ns
 
     def put_off(self, motor: int, place: int) -> None:
         """Ask again at a place where there may be more to tell by."""
@@ -241,7 +231,6 @@ class FitSchedule:
         self._due[motors] = self._fewest[motors]
         self._soon[motors] = self._begin[motors] = NEVER
         self._tested_at[motors] = 0
-        self._tested_ns[motors] = 0
         self._lowest[motors] = self._highest[motors] = np.nan
         self._has_result[motors] = self._has_passed[motors] = False
         for motor in np.arange(self._due.size)[motors].ravel().tolist():
@@ -254,7 +243,6 @@ class FitSchedule:
             'due': int(self._due[motor]) - received_count,
             'soon': soon - received_count if soon < NEVER else None,
             'tested_at': int(self._tested_at[motor]) - received_count,
-            'tested_ns': int(self._tested_ns[motor]),
         }
 
     def restore(
@@ -273,7 +261,6 @@ class FitSchedule:
             self.follow(motor, result)
         self._due[motor] = plain['due'] + received_count
         self._tested_at[motor] = plain.get('tested_at', 0) + received_count
-        self._tested_ns[motor] = plain.get('tested_ns', 0)  # not in files of early releases
         if plain.get('soon') is not None:
             self._soon[motor] = plain['soon'] + received_count
         self._calm_ranges[motor] = self._calm_range(motor)

@@ -80,6 +80,7 @@ def fitted_residual_in_pieces(
     *,
     is_drifting: bool,
     knows_voltage_noise: bool,
+    noise_memory: float,
 ) -> Pieces[FittedResidual]:
     """Run one motor freely, and project the residual on its parameters.
 
@@ -89,10 +90,11 @@ def fitted_residual_in_pieces(
         stretch: the newest samples, with a motor axis of one.
         is_drifting: whether what heats is known to drift, which is no misfit then.
         knows_voltage_noise: whether the fit has taken off what noise of the voltage does.
+        noise_memory: of a rotor's current: correlation of its noise at two samples in a row.
     """
     work = stretch.state.size
     if white_box.has_rotor:
-        run = yield from rotor_free_run_in_pieces(white_box, p, stretch)
+        run = yield from rotor_free_run_in_pieces(white_box, p, stretch, noise_memory)
     else:
         run = yield from free_run_in_pieces(white_box, p, stretch)
     yield work

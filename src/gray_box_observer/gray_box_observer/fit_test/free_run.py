@@ -31,6 +31,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     restart_variance,
     taken_over,
 )
+from gray_box_observer.context_nodes.rotor.noise_memory import without_memory
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.voltage_response import Winding
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -72,6 +73,8 @@ class FreeRun:
         further: shape (k + 1,) each: derivatives by whatever else is free.
         noise: of the voltage, which the current does not answer, where the values know of it.
         noise_power_a2: mean square of what that adds to the residual.
+        noise_memory: correlation of the current's noise at two samples in a row. Residual and
+            derivatives are without what it remembers, and so is what answers.
     """
 
     stretch: SampleWindow
@@ -85,6 +88,7 @@ class FreeRun:
     further: tuple[Array, ...] = ()
     noise: VoltageNoise = NO_NOISE
     noise_power_a2: float = 0.0
+    noise_memory: float = 0.0
 
     @property
     def is_whole(self) -> NDArray[np.bool_]:
@@ -95,6 +99,15 @@ class FreeRun:
     def gain(self) -> Array:
         """Current in A that one volt over an interval brings to its end, shape (k,)."""
         return np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
+
+    def beyond_memory(self, signals_a: Array) -> Array:
+        """Return signals of the current as the residual is: without what noise remembers.
+
+        Args:
+            signals_a: shape (..., k + 1).
+        """
+        begins = np.concatenate([[True], self.stretch.restart[0]])
+        return np.asarray(without_memory(signals_a.T, self.noise_memory, begins).T)
 
     def innovation_of(self, residual_a: Array) -> Array:
         """Return what a residual has beyond the memory that noise of the voltage gives it.

@@ -244,6 +244,8 @@ def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeR
         held_share = float(np.mean(rests(run.speed_rad_s)))
     if white_box.has_rotor and not isinstance(run, RotorFreeRun):  # it cannot be run
         return run
+    if run.noise_memory:  # no fit takes off both
+        return run
     if run.stretch.voltage_v.shape[1] < FEWEST:
         return run
     readings = lagged_readings(run.stretch.voltage_v[0], _innovation(run), run.gain, _is_plain(run))

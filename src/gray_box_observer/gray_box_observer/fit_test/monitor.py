@@ -138,7 +138,7 @@ class FitMonitor:
     ) -> MotorUnderTest:
         """Note that a motor is tested; return it as it is now."""
         subject = MotorUnderTest.view(nodes, estimate, motor, delay, self._results[motor])
-        self.schedule.begin_test(motor, subject.place, estimate.stamp_ns)
+        self.schedule.begin_test(motor, subject.place)
         return subject
 
     def follow(self, motor: int, result: FitResult) -> None:

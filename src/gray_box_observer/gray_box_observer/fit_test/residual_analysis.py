@@ -66,6 +66,7 @@ from gray_box_observer.fit_test.stamp_errors import (
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -182,7 +183,7 @@ def analyse(
     is_drifting: bool = False,
     earlier: Evidence = NO_EVIDENCE,
     new: int | None = None,
-    lag_s: float = 0.0,
+    lag: CurrentLag | None = None,
     measured_rad_s: Array | None = None,
     late_instant: LateInstant | None = None,
     *,
@@ -197,7 +198,7 @@ def analyse(
             is_drifting,
             earlier,
             new,
-            lag_s,
+            lag,
             measured_rad_s,
             late_instant,
             knows_voltage_noise=knows_voltage_noise,
@@ -212,7 +213,7 @@ def analysis_in_pieces(
     is_drifting: bool,
     earlier: Evidence,
     new: int | None,
-    lag_s: float,
+    lag: CurrentLag | None,
     measured_rad_s: Array | None,
     late_instant: LateInstant | None = None,
     *,
@@ -228,7 +229,7 @@ def analysis_in_pieces(
         is_drifting: whether what heats is known to drift, which is no misfit then.
         earlier: what earlier windows have told.
         new: how many samples came after the last of these; None: all of the stretch.
-        lag_s: of the current sensor, as it was found; 0: none was.
+        lag: of the current sensor, as it was found; None: none was.
         measured_rad_s: shape (k + 1,): readings of the speed, where the stretch holds that of the
             whole motor; else None.
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
@@ -238,7 +239,12 @@ def analysis_in_pieces(
     """
     work = stretch.state.size
     run_residual = yield from fitted_residual_in_pieces(
-        white_box, p, stretch, is_drifting=is_drifting, knows_voltage_noise=knows_voltage_noise
+        white_box,
+        p,
+        stretch,
+        is_drifting=is_drifting,
+        knows_voltage_noise=knows_voltage_noise,
+        noise_memory=0.0 if lag is None else lag.memory,
     )
     run = run_residual.run
     projection = run_residual.projection
@@ -286,11 +292,11 @@ def analysis_in_pieces(
     yield work
     intervals = _intervals(white_box, p, stretch)
     rounding_a = rounding_errors(run, run_residual.step_a, run_residual.size_a)
-    rounding_a = projection.with_weight(rounding_a)
+    rounding_a = projection.with_weight(run.beyond_memory(rounding_a))
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
-        shifts_behind_lag(white_box, run, theta, lag_s),
+        shifts_behind_lag(white_box, run, theta, lag),
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
         shown_steps(white_box, theta, evidence),
         shown_by_speed(white_box, evidence),
@@ -299,7 +305,7 @@ def analysis_in_pieces(
             for doubt in (
                 *friction_doubts(white_box, run, theta),
                 *late_speed_doubts(white_box, run, theta),
-                *lag_doubts(run, lag_s),
+                *lag_doubts(run, lag),
                 *(hidden_rotor_doubts(run) if speed_is_guess else ()),
             )
         ),

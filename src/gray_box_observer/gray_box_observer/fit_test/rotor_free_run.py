@@ -9,6 +9,7 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import LEAST, SampleWindow, input_reach
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
+from gray_box_observer.context_nodes.rotor.history_unknowns import Unknowns
 from gray_box_observer.context_nodes.rotor.loaded_fit import loaded_runs
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import state_response
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -99,7 +100,8 @@ class RotorFreeRun(FreeRun):
 
     def _current_response(self, gains: Array, inputs: Array) -> Array:
         """Return by how much further inputs move the current, shape (input, k + 1)."""
-        return state_response(self.transitions, gains, inputs)[:, :, State.CURRENT].T
+        answers_a = state_response(self.transitions, gains, inputs)[:, :, State.CURRENT].T
+        return self.beyond_memory(answers_a)
 
     def _passed_on(self, state: State, by: State) -> Array:
         """Return what a push of one state through an interval does to the other, shape (k,).
@@ -113,13 +115,15 @@ class RotorFreeRun(FreeRun):
         return coupling
 
 
-def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
+def rotor_free_run(
+    white_box: WhiteBox, p: Array, stretch: SampleWindow, noise_memory: float = 0.0
+) -> FreeRun:
     """Run a motor with a rotor at once; see :func:`rotor_free_run_in_pieces`."""
-    return completed(rotor_free_run_in_pieces(white_box, p, stretch))
+    return completed(rotor_free_run_in_pieces(white_box, p, stretch, noise_memory))
 
 
 def rotor_free_run_in_pieces(
-    white_box: WhiteBox, p: Array, stretch: SampleWindow
+    white_box: WhiteBox, p: Array, stretch: SampleWindow, noise_memory: float = 0.0
 ) -> Pieces[FreeRun]:
     """Run a motor with a rotor freely through a stretch, its first states where they fit best.
 
@@ -130,10 +134,12 @@ def rotor_free_run_in_pieces(
         p: shape (1, coordinate): its parameters, as :func:`~.white_box.flow.to_coordinates` has
             them.
         stretch: the samples, with a motor axis of one.
+        noise_memory: correlation of the current's noise at two samples in a row.
     """
     assert isinstance(white_box, MotorWhiteBox)
     theta = to_parameters(p)[0]
-    window = Window.from_samples(white_box, _samples(white_box, stretch))
+    unknowns = Unknowns(noise_memory=noise_memory)
+    window = Window.from_samples(white_box, _samples(white_box, stretch), unknowns)
     runs = None
     if window.histories and white_box.load_varies:
         runs = yield from loaded_runs(white_box, theta, window)
@@ -147,18 +153,20 @@ def rotor_free_run_in_pieces(
     decay = np.clip(transitions[:, 0, 0], 0.0, 1.0)
     winding_decay = np.exp(-whole.interval_s[0] / runs.winding_s)
     by_start = _by_start(runs)
+    states = np.concatenate([path.states for path in runs.runs]).T
     return RotorFreeRun(
         whole,
         float(theta[0]),
-        whole.state[0] - runs.residual_a,
+        states[State.CURRENT],
         runs.residual_a,
         np.column_stack([by_start[0], swapped_logarithms(runs.by_parameter)]),
         decay,
         input_reach(whole.interval_s[0], np.where(decay > SEEN, decay, winding_decay)),
         np.ones_like(runs.residual_a),
         tuple(by_start[1:]),
+        noise_memory=noise_memory,
         transitions=transitions,
-        speed_rad_s=np.concatenate([path.states[:, State.SPEED] for path in runs.runs]),
+        speed_rad_s=states[State.SPEED],
         runs=runs,
     )
 

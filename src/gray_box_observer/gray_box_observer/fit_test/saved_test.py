@@ -13,7 +13,6 @@ from gray_box_observer.fit_test.evidence import MOST as MOST_AMOUNT
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
-    LATEST_NS,
     MOST,
     ArrayRule,
     check_array,
@@ -61,8 +60,6 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         whole(plain, 'soon', -MOST, MOST)
     if 'tested_at' in plain:
         whole(plain, 'tested_at', -MOST, MOST_AHEAD)
-    if 'tested_ns' in plain:
-        whole(plain, 'tested_ns', -LATEST_NS, LATEST_NS)
     if 'is_withheld' in plain:
         flag(plain, 'is_withheld')
     if 'assessment' in plain:

@@ -51,7 +51,7 @@ def smoothing_doubts(
     runs = fast if fast.is_bounded else run.runs  # averaged twice, it differs by more
     memory = math.exp(-1.0 / intervals)
     averages = [_moving_average(path.states[:, State.CURRENT], memory) for path in runs.runs]
-    return [Doubt(np.concatenate(averages) - run.current_a)]
+    return [Doubt(run.beyond_memory(np.concatenate(averages) - run.current_a))]
 
 
 def _moving_average(current_a: Array, memory: float) -> Array:

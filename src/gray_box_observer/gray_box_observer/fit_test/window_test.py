@@ -204,6 +204,7 @@ class WindowTest:
             SampleWindow.of_content(self.white_box, np.ascontiguousarray(motor.newest(count))),
             is_drifting=motor.is_drifting,
             knows_voltage_noise=motor.knows_voltage_noise,
+            noise_memory=self.configuration.noise_memory,
         )
         return not is_dubious(completed(without_warnings(pieces)))
 
@@ -227,7 +228,7 @@ class WindowTest:
                 is_drifting,
                 motor.evidence,
                 motor.new_samples,
-                0.0 if lag is None else lag.lag_s,
+                lag,
                 motor.newest_measured(count),
                 motor.late_instant,
                 speed_is_guess=self._speed_is_guess,

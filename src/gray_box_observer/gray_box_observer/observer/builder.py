@@ -297,7 +297,13 @@ def context_nodes(
     if white_box.has_rotor:
         merges_held = not _makes_voltage(motors)
         return RotorUpdate(
-            white_box, initial, rules, verdicts, relative_std, merges_held=merges_held
+            white_box,
+            initial,
+            rules,
+            verdicts,
+            relative_std,
+            merges_held=merges_held,
+            noise_memory=motors[0].noise_memory,
         )
     if len(motors) == 1 and can_be_output(white_box):
         first = motors[0]

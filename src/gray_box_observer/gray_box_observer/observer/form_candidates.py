@@ -83,7 +83,7 @@ class FormCandidates:
         kinds: list[FormKind] = []
         lag = self.kind.lag
         if lag is not None and not is_doubted:
-            return (replace(self.kind, lag=lag._replace(other_order=())),)
+            return (replace(self.kind, lag=lag.without_rivals),)
         if lag is not None:  # it may be another one than was found
             kinds.append(replace(self.kind, lag=None))
         plain = self.kind.with_other_source
@@ -112,6 +112,10 @@ class FormCandidates:
         if plain is not None and plain not in different and self.open_forms.contains(plain):
             others.append(plain)
         room = FEW_CANDIDATES - len(different) - len(others)
+        if self.kind.source == ROTOR and is_vague:  # a filter colours what is left over
+            lag_kind = self.kind.with_effect(CURRENT_LAG)
+            is_new = lag_kind not in different and self.open_forms.contains(lag_kind)
+            others += [lag_kind] if is_new else []
         usual_kinds = (*different, *self._with_loads(different, room), *others)[:FEW_CANDIDATES]
         last = [kind for kind in self._with_varying_load(plain) if self.open_forms.contains(kind)]
         return (*usual_kinds, *last)

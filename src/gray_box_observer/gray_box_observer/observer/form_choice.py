@@ -346,7 +346,7 @@ class FormChoice:
     @property
     def _has_open_lag(self) -> bool:
         """Whether a lag was found of which it is open whether it is the winding's."""
-        return self.kind.lag is not None and bool(self.kind.lag.other_order)
+        return self.kind.lag is not None and bool(self.kind.lag.rivals)
 
     def _candidates(
         self, fit: FitAssessment, *, has_no_speed: bool = False

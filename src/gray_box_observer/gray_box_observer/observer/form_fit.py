@@ -13,6 +13,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY
 from gray_box_observer.context_nodes.rotor.window import delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
@@ -47,6 +48,10 @@ FEWEST = 64
 
 LARGEST_SHARE = 0.5
 """Share of the samples that a lag may take to settle."""
+
+STEADY = 0.3
+"""Share of a lag by which a fit moves it at most where the residual tells the memory of the noise:
+a wrong lag leaves a residual that looks like such noise."""
 
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
@@ -139,6 +144,7 @@ class FormFitter:
         if CURRENT_LAG not in fit.kind.effects:
             return fit
         fit = yield from self._with_settled_lag(fit, content)
+        fit = yield from self._with_likelier_filter(fit, content)
         lag = fit.kind.lag
         if lag is not None and fit.is_misfit:  # the search begins with the shorter lag
             other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
@@ -180,18 +186,37 @@ class FormFitter:
             before = fit.kind.lag
             lag_s = 0.0 if before is None else before.lag_s
             theta = fit.estimate.value
-            step_s, std_s = lag_step(form.white_box, theta, form.driven(content), lag_s)
+            step = lag_step(form.white_box, theta, form.driven(content), before)
             yield WORK_A_SAMPLE * content.shape[2]
-            if before is None and not step_s > SURE_LAG * std_s:
+            if before is None and not step.step_s > SURE_LAG * step.std_s:
                 break
             values = form.white_box.values(theta[0])
             longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
-            next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
-            lag = CurrentLag(next_s, values['inductance'] / values['resistance'])
-            if not lag.is_possible or (before is not None and _is_near(lag, before, std_s)):
+            next_s = min(max(lag_s + step.step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
+            winding_s = values['inductance'] / values['resistance']
+            is_digital = before is not None and before.is_digital
+            is_steady = abs(step.step_s) <= STEADY * lag_s
+            memory = step.memory if is_steady else (0.0 if before is None else before.memory)
+            lag = CurrentLag(next_s, winding_s, (), memory, is_digital)
+            if not lag.is_possible or (before is not None and _is_near(lag, before, step.std_s)):
                 break
             fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
         return fit
+
+    def _with_likelier_filter(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Take the lag for a moving average of the samples, where that is likelier.
+
+        Noise passes that, too. So it is asked where the noise has a memory.
+
+        Args:
+            fit: of the form with an analogue lag, or with none.
+            content: shape (signal, 1, n): the samples.
+        """
+        lag = fit.kind.lag
+        if lag is None or not lag.memory:
+            return fit
+        other = yield from self._of_other_kind(fit, content)
+        return other if _evidence(fit, other, content) < 0.0 else fit
 
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
         """Ask whether a delay of the voltage explains the samples as well as a lag does.
@@ -215,7 +240,17 @@ class FormFitter:
         count = settled_count(content, fit.settle_s)
         return not log_likelihood(count, other_a, left_a) > TOLD_APART
 
-    def ordered(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+    def weighed(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Ask for other explanations of a lag, and let those count that the data leave open.
+
+        Args:
+            fit: of the form.
+            content: shape (signal, 1, n): the samples.
+        """
+        fit = yield from self._ordered(fit, content)
+        return (yield from self._of_sure_kind(fit, content))
+
+    def _ordered(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Ask whether the winding may be the sensor, and the sensor the winding.
 
         Two lags in a row look the same in either order, but for what is not linear: friction,
@@ -235,16 +270,44 @@ class FormFitter:
             fit, other = other, fit
         lag = fit.kind.lag
         assert lag is not None
-        shift = other.estimate.value[0] / fit.estimate.value[0] - 1.0
         if not abs(evidence) < TOLD_APART:
             return fit
-        shift = np.where(np.isfinite(shift), shift, 0.0)
+        shift = _changes(fit, other)
         place = fit.form.white_box.context_nodes.index('inductance')
-        exchange = lag.lag_s / lag.winding_s - 1.0
-        shift[place] = max(float(shift[place]), exchange, key=abs)
-        shift = np.clip(shift, -LARGEST_CHANGE, LARGEST_CHANGE)
-        lag = lag._replace(other_order=tuple(shift.tolist()))
+        exchange = float(np.clip(lag.lag_s / lag.winding_s - 1.0, -1.0, LARGEST_CHANGE))
+        shift[place] = max(shift[place], exchange, key=abs)
+        lag = lag._replace(other_order=tuple(shift))
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+
+    def _of_sure_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Ask whether the filter may be of the other kind: analogue, or a moving average.
+
+        It is asked where its noise has a memory, as that of a moving average does.
+        """
+        lag = fit.kind.lag
+        if lag is None or not lag.memory:
+            return fit
+        other = yield from self._of_other_kind(fit, content)
+        evidence = _evidence(fit, other, content)
+        other_lag = other.kind.lag
+        assert other_lag is not None
+        if evidence < 0.0:
+            fit, other = other, fit
+            lag = other_lag._replace(other_order=lag.other_order)
+        if not abs(evidence) < TOLD_APART:
+            return fit
+        lag = lag._replace(other_kind=tuple(_changes(fit, other)))
+        return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+
+    def _of_other_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form whose filter is of the other kind, from where that with its own has ended."""
+        lag = fit.kind.lag
+        assert lag is not None
+        other_lag = lag.without_rivals._replace(is_digital=not lag.is_digital)
+        other = yield from self.again(replace(fit.kind, lag=other_lag), fit, content)
+        other = yield from self._with_settled_lag(other, content)
+        yield WORK_A_SAMPLE * content.shape[2]
+        return other
 
 
 def _delayed(content: Array, delay_s: float) -> Array:
@@ -267,6 +330,14 @@ def _dead_zone(estimate: Estimate, content: Array) -> float:
     place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
     largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
     return min(float(estimate.value[0, place]), largest_v)
+
+
+def _changes(fit: FormFit, other: FormFit) -> list[float]:
+    """Return by how much the parameters of another fit differ, relative to them."""
+    change = other.estimate.value[0] / fit.estimate.value[0] - 1.0
+    change = np.where(np.isfinite(change), change, 0.0)
+    changes: list[float] = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE).tolist()
+    return changes
 
 
 def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
@@ -324,4 +395,6 @@ def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:
     """
     nearest_s = max(NEAR_LAG * before.lag_s, NEAR_STDS * std_s)
     winding_share = abs(lag.winding_s / before.winding_s - 1.0)
-    return abs(lag.lag_s - before.lag_s) <= nearest_s and winding_share <= NEAR_WINDING
+    is_same_noise = abs(lag.memory - before.memory) < SAME_MEMORY
+    is_same_lag = abs(lag.lag_s - before.lag_s) <= nearest_s
+    return is_same_lag and is_same_noise and winding_share <= NEAR_WINDING

@@ -247,7 +247,7 @@ class FormTrial:
         if self._is_better(fit, left_a, before_a):
             if (yield from self._fitter.is_delay(fit, content)):
                 return TrialOutcome(None, 'explains them no better than a delay of the voltage')
-            fit = yield from self._fitter.ordered(fit, content)
+            fit = yield from self._fitter.weighed(fit, content)
             left_a = fit.form.residual(content, fit.settle_s)
         kind = fit.kind
         if not self._is_better(fit, left_a, before_a):
@@ -271,13 +271,13 @@ class FormTrial:
         content = start.content
         same = self._open.make(start.kind)
         yield from same.learn_remembered(content, start.stamp_ns)
-        fit = yield from self._fitter.ordered(fit, content)
+        fit = yield from self._fitter.weighed(fit, content)
         left_a = fit.form.residual(content, fit.settle_s)
         before_a = same.residual(content, fit.settle_s)
         lag = fit.kind.lag
         before = start.kind.lag
         assert lag is not None
-        is_told = before is not None and bool(before.other_order) and not lag.other_order
+        is_told = before is not None and len(lag.rivals) < len(before.rivals)
         gain = self._gain(fit, left_a, before_a)
         if fit.is_misfit or not gain > (-TOLD_APART if is_told else TOLD_APART):
             return TrialOutcome(None, self._why_not(fit))
@@ -448,23 +448,28 @@ def _on_lag(lag: CurrentLag | None) -> str:
     order_text = ''
     if lag.other_order:
         order_text = f' and L/R {1e3 * lag.winding_s:.3g} ms, or the other way round'
-    return f'; the lag is {1e3 * lag.lag_s:.3g} ms{order_text}'
+    kind_text = ', that of a moving average' if lag.is_digital and not lag.other_kind else ''
+    return f'; the lag is {1e3 * lag.lag_s:.3g} ms{kind_text}{order_text}'
 
 
 def _numbers_of(kind: FormKind) -> list[float]:
     """Return what is saved of a form behind the names of its effects."""
     if kind.lag is not None:
-        return [kind.dead_zone_v, kind.lag.lag_s, kind.lag.winding_s]
+        lag = kind.lag
+        return [kind.dead_zone_v, lag.lag_s, lag.winding_s, lag.memory, float(lag.is_digital)]
     return [kind.dead_zone_v] if kind.dead_zone_v else []
 
 
 def _kind_of(entries: list[Any]) -> FormKind:
     """Return the form that was saved, whatever it is."""
     names = [one for one in entries if not isinstance(one, float)]
-    zone_v, *times_s = [one for one in entries if isinstance(one, float)] or [0.0]
-    if len(times_s) not in (0, 2):
+    zone_v, *numbers = [one for one in entries if isinstance(one, float)] or [0.0]
+    lag = None
+    if numbers:
+        lag_s, winding_s, memory, is_digital = [*numbers, 0.0, 0.0][:4]  # early releases: two
+        lag = CurrentLag(lag_s, winding_s, (), memory, bool(is_digital))
+    if len(numbers) not in (0, 2, 4):
         return FormKind('')
-    lag = CurrentLag(times_s[0], times_s[1]) if times_s else None
     return FormKind(names[0] if names else '', tuple(names[1:]), zone_v, lag)
 
 

@@ -15,13 +15,13 @@ from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
     RotorUpdate,
 )
-from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.fit_test.fitted_residual import fitted_residual_in_pieces
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.motor_under_test import knows_voltage_noise
-from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
@@ -144,8 +144,8 @@ class FormKind:
 
     @property
     def _lag_in_either_order(self) -> CurrentLag | None:
-        """The lag, without what data tell of its order: that is of this form alone."""
-        return None if self.lag is None else self.lag._replace(other_order=())
+        """The lag, without what data tell of its order and kind: that is of this form alone."""
+        return None if self.lag is None else self.lag.without_rivals
 
 
 RIVALS = {LOST_VOLTAGE: DEAD_ZONE, DEAD_ZONE: LOST_VOLTAGE}
@@ -274,13 +274,20 @@ def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: 
         content: shape (signal, 1, n): samples, as a replay buffer gives them.
     """
     stretch = SampleWindow.of_content(white_box, np.ascontiguousarray(content))
-    if white_box.load_varies:  # its analysis costs too much to be done at once
-        run = rotor_free_run(white_box, to_coordinates(context_nodes.theta), stretch)
+    p = to_coordinates(context_nodes.theta)
+    noise_memory = 0.0
+    if isinstance(context_nodes, RotorUpdate):
+        noise_memory = context_nodes.noise_memory
+    if white_box.load_varies:  # its projection costs too much to be done at once
+        run = rotor_free_run(white_box, p, stretch, noise_memory)
         return float(np.sqrt(np.mean(run.residual_a**2)))
-    analysis = analyse(
+    pieces = fitted_residual_in_pieces(
         white_box,
-        to_coordinates(context_nodes.theta),
+        p,
         stretch,
+        is_drifting=False,
         knows_voltage_noise=knows_voltage_noise(context_nodes),
+        noise_memory=noise_memory,
     )
-    return analysis.ratio * analysis.floor_a
+    residual = completed(pieces)
+    return residual.ratio * residual.floor_a

@@ -322,7 +322,7 @@ class MotorObserver:
         if not has_changed:
             self.changed_motors = _NOBODY
             if self._speed is not None:
-                self._tests.schedule_newest(sample.stamp_ns)
+                self._tests.schedule_newest()
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -560,8 +560,9 @@ class MotorObserver:
             dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
         )
         lag = self.form_choice.kind.lag
-        if lag is not None and len(lag.other_order) not in (0, len(self.white_box.parameters)):
-            raise CheckpointError('speed.current_lag.other_order is of other parameters')
+        count = len(self.white_box.parameters)
+        if lag is not None and any(len(shift) != count for shift in lag.rivals):
+            raise CheckpointError('speed.current_lag holds changes of other parameters')
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')

@@ -121,14 +121,10 @@ class PendingTests:
             else:
                 self._tests_due.append((motor, False))
 
-    def schedule_newest(self, stamp_ns: int) -> None:
-        """Ask of a motor with a rotor whether its newest samples alone are to be tested.
-
-        Args:
-            stamp_ns: of the newest sample.
-        """
+    def schedule_newest(self) -> None:
+        """Ask of a motor with a rotor whether its newest samples alone are to be tested."""
         replay = self._belief.context_nodes.replay
-        if not self._tests_due and self._schedule.is_stale(replay, 0, stamp_ns):
+        if not self._tests_due and self._schedule.is_stale(replay, 0):
             self._tests_due.append((0, True))
 
     def test(

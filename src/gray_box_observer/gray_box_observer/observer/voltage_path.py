@@ -303,9 +303,13 @@ def _outside(command_v: Array, dead_zone_v: Array) -> Array:
 def _share(interval_s: Array, lag: CurrentLag) -> Array:
     """Return how much of the lagging voltage at an interval's start the constant one has.
 
-    It is ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant
-    of the winding: what starts 1 V above its end moves the winding as so many constant volts do.
+    A moving average of samples that answer constant voltages answers the moving average of these.
+    Behind an analogue filter the share is
+    ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant of the
+    winding: what starts 1 V above its end moves the winding as so many constant volts do.
     """
+    if lag.is_digital:
+        return np.exp(-interval_s / lag.lag_s)
     fast, slow = sorted((1.0 / lag.lag_s, 1.0 / lag.winding_s), reverse=True)
     apart = np.maximum((fast - slow) * interval_s, NEGLIGIBLE)
     progress_s = interval_s * np.exp(-slow * interval_s) * -np.expm1(-apart) / apart

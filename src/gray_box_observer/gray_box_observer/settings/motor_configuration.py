@@ -69,6 +69,11 @@ class MotorConfiguration:
     current_lag: CurrentLag | None = None
     reads_current: bool = False
 
+    @property
+    def noise_memory(self) -> float:
+        """Correlation of the current's noise at two samples in a row, where its sensor lags."""
+        return 0.0 if self.current_lag is None else self.current_lag.memory
+
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
         mechanical = self.mechanical_nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gray_box_observer.safe_io.saved_state import ArrayRule, number, numbers
+from gray_box_observer.safe_io.saved_state import ArrayRule, flag, number, numbers
 
 SHORTEST_S = 1e-9
 """Shortest time constant that is credible."""
@@ -25,15 +25,25 @@ class CurrentLag(NamedTuple):
         winding_s: time constant L/R of the winding in s, by which the voltage is taken to lag.
         other_order: by how much the parameters change, relative to them, where the winding is taken
             for the sensor, and the other way round; empty where the data tell which is which.
+        memory: correlation of the current's noise at two samples in a row: noise passes a filter
+            that comes behind it.
+        is_digital: whether it is a moving average of the samples, in which every one weighs less
+            than the next by the same factor; else a filter of first order.
+        other_kind: by how much the parameters change where it is of the other kind; empty where the
+            data tell which it is.
     """
 
     lag_s: float
     winding_s: float
     other_order: tuple[float, ...] = ()
+    memory: float = 0.0
+    is_digital: bool = False
+    other_kind: tuple[float, ...] = ()
 
     def state(self) -> dict[str, Any]:
         """Return it as plain values, for a checkpoint."""
-        return {**self._asdict(), 'other_order': list(self.other_order)}
+        rivals = {'other_order': list(self.other_order), 'other_kind': list(self.other_kind)}
+        return self._asdict() | rivals
 
     @classmethod
     def restored(cls, plain: Mapping[str, Any]) -> CurrentLag:
@@ -47,7 +57,10 @@ class CurrentLag(NamedTuple):
             number(plain, 'lag_s', SHORTEST_S, LONGEST_S),
             number(plain, 'winding_s', SHORTEST_S, LONGEST_S),
             tuple(numbers(plain, 'other_order', rule).tolist()),
-        )
+            number(plain, 'memory', 0.0, 1.0) if 'memory' in plain else 0.0,
+            flag(plain, 'is_digital') if 'is_digital' in plain else False,
+            tuple(numbers(plain, 'other_kind', rule).tolist()) if 'other_kind' in plain else (),
+        )  # files of early releases know none of the last three
 
     @property
     def is_possible(self) -> bool:
@@ -57,4 +70,14 @@ class CurrentLag(NamedTuple):
     @property
     def turned(self) -> CurrentLag:
         """The same with the winding taken for the sensor, and the other way round."""
-        return CurrentLag(self.winding_s, self.lag_s)
+        return self.without_rivals._replace(lag_s=self.winding_s, winding_s=self.lag_s)
+
+    @property
+    def without_rivals(self) -> CurrentLag:
+        """The same without what data tell of its order and kind: that is of one form alone."""
+        return self._replace(other_order=(), other_kind=())
+
+    @property
+    def rivals(self) -> list[tuple[float, ...]]:
+        """By how much the parameters change in other explanations that the data leave open."""
+        return [shift for shift in (self.other_order, self.other_kind) if shift]

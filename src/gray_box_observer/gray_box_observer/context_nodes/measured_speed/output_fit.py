@@ -7,6 +7,7 @@ outputs, one that walks at random is tried.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,6 +35,7 @@ from gray_box_observer.context_nodes.rotor.load_walk import (
     walk_of_load,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY, memory_of
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
@@ -91,15 +93,6 @@ sensor of the current lags: no speed is known before it is measured."""
 
 LEAST_LAG = 0.03
 """Sample intervals from which a lag of the current is one."""
-
-SAME_MEMORY = 0.03
-"""Difference of two memories of the noise that are the same."""
-
-CHANCE = 3.0
-"""Correlation that white noise may have by chance, times the root of the samples."""
-
-LONGEST_MEMORY = 0.95
-"""Longest memory that is believed to be that of noise."""
 
 IDLE = 0.01
 """Squared distance, in standard deviations, of two ends that are the same."""
@@ -215,26 +208,11 @@ class OutputFit:
 
     @property
     def memory(self) -> float:
-        """Correlation of the current's noise at two samples in a row; 0 where there is none.
-
-        It is at most what the filter leaves of a reading after an interval: noise that passes it
-        remembers so much, and what remembers more is no noise.
-        """
+        """Correlation of the current's noise at two samples in a row; 0 where there is none."""
         lag_s = self.current_lag_s
         if not lag_s:
             return 0.0
-        product = power = 0.0
-        histories = self.window.histories
-        for history, read_a in zip(histories, self.fit.runs.read_a, strict=True):
-            off_a = history.current_a - read_a
-            most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(off_a)))
-            off_a = np.clip(off_a, -most_a, most_a)
-            product += float(off_a[1:] @ off_a[:-1])
-            power += float(off_a @ off_a)
-        memory = product / max(power, 1e-300)
-        chance = CHANCE / np.sqrt(self.window.current_a.size)
-        longest = min(float(np.exp(-self.window.interval_s / lag_s)), LONGEST_MEMORY)
-        return min(memory, longest) if memory > chance else 0.0
+        return memory_of(self.fit.runs.misread_a, math.exp(-self.window.interval_s / lag_s))
 
     @property
     def cost(self) -> float:

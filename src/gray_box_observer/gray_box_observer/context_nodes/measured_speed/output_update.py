@@ -12,7 +12,6 @@ import numpy as np
 from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.filter_fit import fit_lagging
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
-    LONGEST_MEMORY,
     BestSoFar,
     FitBefore,
     OutputFit,
@@ -27,6 +26,7 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     Unknowns,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.noise_memory import LONGEST_MEMORY
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner

@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     load_slopes,
 )
 from gray_box_observer.context_nodes.rotor.noise_filter import NoiseFilter, ReadingNoise, rests
+from gray_box_observer.context_nodes.rotor.noise_memory import without_memory
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import PATIENCE, STATES, Run, run
 from gray_box_observer.context_nodes.rotor.window import FEWEST, History, Window
 from gray_box_observer.samples.order_statistics import median
@@ -142,6 +143,12 @@ class FreeRuns:
             path.states[:, State.CURRENT] if behind is None else behind.current_a
             for path, behind in zip(self.runs, self._filter, strict=True)
         )
+
+    @property
+    def misread_a(self) -> list[Array]:
+        """Measured less predicted currents, shape (k + 1,) each, one a history."""
+        pairs = zip(self.window.histories, self.read_a, strict=True)
+        return [history.current_a - read_a for history, read_a in pairs]
 
     @cached_property
     def _measured_residuals(self) -> tuple[tuple[Array, ...], ...]:
@@ -323,7 +330,7 @@ class FreeRuns:
         """
         late = self._late[row]
         output = self.window.speed_output
-        current = states[:, State.CURRENT]
+        current = without_memory(states[:, State.CURRENT], self.window.unknowns.memory)
         if late is None or output is None:
             return current
         speed = late.is_covered * output.unit_a_s * late.of_signal(states[:, State.SPEED])
@@ -403,9 +410,7 @@ def _residuals(
 ) -> tuple[Array, ...]:
     """Return what a run leaves of a history's readings, one array an output."""
     output = unknowns.speed_output
-    current = history.current_a - read_a
-    if unknowns.current_sensor is not None:
-        current = unknowns.current_sensor.whitened(current)
+    current = without_memory(history.current_a - read_a, unknowns.memory)
     if output is None or late is None or history.speed_rad_s is None:
         return (current,)
     off = history.speed_rad_s - late.of_signal(path.states[:, State.SPEED])
@@ -430,15 +435,15 @@ def _derivatives(
     result[:, :, unknowns:] = path.slopes[:, :outputs, STATES:].swapaxes(0, 1) @ by_logarithm
     if load_by_knot is not None:
         result[:, :, window.unknowns.loads] = load_by_knot[:, :outputs].swapaxes(0, 1)
+    memory = window.unknowns.memory
     if output is None or late is None:
-        return result.reshape(count, -1)
-    sensor = window.unknowns.current_sensor
-    if sensor is not None and behind is not None:
+        return without_memory(result.reshape(count, -1), memory)
+    if behind is not None:
         place = window.unknowns.current_lag
         own = [place, place + 1]
         others = np.delete(np.arange(result.shape[2]), own)
-        by_reading = sensor.whitened(
-            behind.derivatives(result[:, :, others].swapaxes(0, 1), by_logarithm)
+        by_reading = without_memory(
+            behind.derivatives(result[:, :, others].swapaxes(0, 1), by_logarithm), memory
         )
         result[State.CURRENT][:, others] = by_reading[:, :-2]
         result[State.CURRENT][:, own] = by_reading[:, -2:]

@@ -80,19 +80,6 @@ class CurrentSensor:
     is_digital: bool = False
     is_sure: bool = False
 
-    def whitened(self, signal: Array) -> Array:
-        """Return what a signal has beyond the memory of its noise, of its shape.
-
-        Args:
-            signal: shape (k + 1, ...): readings of a history, or their derivatives.
-        """
-        if self.memory == 0.0:
-            return signal
-        result: Array = signal.copy()
-        result[1:] -= self.memory * signal[:-1]
-        result[0] *= np.sqrt(1.0 - self.memory**2)
-        return result
-
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -104,11 +91,19 @@ class Unknowns:
         speed_output: how the measured speed is fitted; None: it is not looked at.
         load: that varies; None: none does.
         current_sensor: that lags; None: it does not.
+        noise_memory: where its lag is in the voltage already: correlation of the current's noise at
+            two samples in a row.
     """
 
     speed_output: SpeedOutput | None = None
     load: LoadWalk | None = None
     current_sensor: CurrentSensor | None = None
+    noise_memory: float = 0.0
+
+    @property
+    def memory(self) -> float:
+        """Correlation of the current's noise at two samples in a row."""
+        return self.noise_memory if self.current_sensor is None else self.current_sensor.memory
 
     @property
     def loads(self) -> slice:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
-from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk, Unknowns
+from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import History, Window
 from gray_box_observer.white_box import forms
@@ -84,7 +84,8 @@ def with_load(window: Window, walk: float) -> Window:
     if not parts:
         return replace(window, histories=())
     window = replace(window, histories=tuple(parts))
-    return replace(window, unknowns=Unknowns(load=load_over(window, walk, samples_a_knot)))
+    load = load_over(window, walk, samples_a_knot)
+    return replace(window, unknowns=replace(window.unknowns, load=load))
 
 
 def knot_count(window: Window) -> int:

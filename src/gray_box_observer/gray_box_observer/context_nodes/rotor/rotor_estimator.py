@@ -87,6 +87,7 @@ class RotorUpdate:
             nothing is stated. None: of none of them.
         merges_held: whether fewer samples are kept while the voltage is held. Not where that is
             made of commands, which are remembered sample by sample.
+        noise_memory: correlation of the current's noise at two samples in a row.
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -100,6 +101,7 @@ class RotorUpdate:
         initial_relative_std: Array | None = None,
         *,
         merges_held: bool = True,
+        noise_memory: float = 0.0,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveSettings()
@@ -112,6 +114,7 @@ class RotorUpdate:
         self._learner = learner_type(
             white_box, initial, initial_relative_std, self._rules.drift_threshold
         )
+        self._learner.noise_memory = noise_memory
         capacity = max(self._rules.replay_capacity, WINDOW)
         self.replay = ReplayBuffer(1, capacity, speed_measured=self._learner.speed_measured)
         merges = merges_held and not self._learner.speed_measured
@@ -137,6 +140,11 @@ class RotorUpdate:
     def knows_voltage_noise(self) -> bool:
         """Whether the newest fit has taken off what noise of the voltage does."""
         return self._learner.voltage_noise is not NO_NOISE
+
+    @property
+    def noise_memory(self) -> float:
+        """Correlation of the current's noise at two samples in a row."""
+        return self._learner.noise_memory
 
     @property
     def noise_a(self) -> float:

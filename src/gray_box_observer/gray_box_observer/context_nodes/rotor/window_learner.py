@@ -16,6 +16,7 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
+from gray_box_observer.context_nodes.rotor.history_unknowns import Unknowns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.soft_friction import soft_friction_pull
@@ -80,6 +81,7 @@ class WindowLearner:
         covariance: shape (parameter, parameter): of these.
         share, reach: shape (parameter,): voltage shares, and their 3-sigma bound.
         noise_a: standard deviation of the current's noise; 0 before the first fit.
+        noise_memory: correlation of the current's noise at two samples in a row.
         voltage_noise: of a measured voltage, as the newest fit has found it.
         memory: what full windows have told; None before the first one.
         is_settled: whether the motor is explained.
@@ -104,6 +106,7 @@ class WindowLearner:
             raise ConfigurationError('the rotor rule is for one motor whose inertia is unknown')
         self._white_box = white_box
         self._drift_threshold = drift_threshold
+        self.noise_memory = 0.0
         self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float)[0], self._lower, self._upper)
         nothing = np.zeros_like(theta)
@@ -193,7 +196,8 @@ class WindowLearner:
 
     def window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories."""
-        return Window.from_samples(self._white_box, samples)
+        unknowns = Unknowns(noise_memory=self.noise_memory)
+        return Window.from_samples(self._white_box, samples, unknowns)
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]

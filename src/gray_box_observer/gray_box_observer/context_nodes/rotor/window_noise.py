@@ -216,6 +216,7 @@ def noise_of(runs: FreeRuns, *, is_rough: bool) -> tuple[VoltageNoise, ReadingNo
 
 def _noise_in(runs: FreeRuns) -> WindowNoise | None:
     """Return what tells of noise in free runs; None where it is not asked for."""
-    if not runs.runs or runs.window.unknowns.current_sensor is not None:
+    unknowns = runs.window.unknowns
+    if not runs.runs or unknowns.current_sensor is not None or unknowns.memory:
         return None
     return WindowNoise.from_runs(runs)
