@@ -44,11 +44,13 @@ class LagStep(NamedTuple):
         std_s: standard deviation of that.
         memory: correlation of the current's noise at two samples in a row, as a filter of the lag
             that is right may have it; 0 without a rotor.
+        correlation: the same of the residual, as any filter may have it.
     """
 
     step_s: float
     std_s: float
     memory: float
+    correlation: float
 
 
 def lag_step(
@@ -74,12 +76,14 @@ def lag_step(
     residual = run.residual_a * np.sqrt(run.weight)
     power = float(distinct @ distinct)
     memory = 0.0
+    correlation = 0.0
     step_s = float(distinct @ residual) / power if power > 0.0 else 0.0
     std_s = noise_a / math.sqrt(power) if power > 0.0 else math.inf
     if isinstance(run, RotorFreeRun):
         lag_s = step_s + (0.0 if lag is None else lag.lag_s)
         memory = memory_of(run.runs.misread_a, _kept_share(run, lag_s))
-    return LagStep(step_s, std_s, memory)
+        correlation = memory_of(run.runs.misread_a)
+    return LagStep(step_s, std_s, memory, correlation)
 
 
 def _kept_share(run: FreeRun, lag_s: float) -> float:
@@ -102,9 +106,30 @@ def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope
     if lag is not None and lag.is_digital:
-        inputs = slope * remainder / (1.0 - remainder) * (interval_s / lag_s) ** 2
+        return run.beyond_memory(_by_average(run, lag_s))
     by_lag: Array = -recurrence(remainder[None], inputs[None, None], np.zeros((1, 1)))[0, 0]
     return run.beyond_memory(by_lag)
+
+
+def _by_average(run: FreeRun, lag_s: float) -> Array:
+    """Differentiate a current by the time constant of a moving average that was undone, in A/s.
+
+    Of its readings ``f_k = r f_(k-1) + (1 - r) i_k`` the step is that of the regression of what is
+    new in them, in the unit of the current: the noise of ``f_(k-1)`` is not that of ``i_k``.
+
+    Args:
+        run: along the values that the readings are averages of.
+        lag_s: the time constant in s, positive.
+    """
+    interval_s = run.stretch.interval_s[0]
+    kept_share = np.where(run.is_whole, np.exp(-interval_s / lag_s), 0.0)
+    newest_a = run.stretch.state
+    reading_a = recurrence(
+        kept_share[None], ((1.0 - kept_share) * newest_a[:, 1:])[None], newest_a[:, :1]
+    )[0, 0]
+    by_share = (reading_a[:-1] - run.current_a[1:]) / (1.0 - kept_share)
+    by_lag = by_share * kept_share * interval_s / lag_s**2
+    return np.concatenate([[0.0], np.where(run.is_whole, by_lag, 0.0)])
 
 
 def lag_doubts(run: FreeRun, lag: CurrentLag | None) -> list[Doubt]:

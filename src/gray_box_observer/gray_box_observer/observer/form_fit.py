@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.context_nodes.pieces import Pieces
+from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY
 from gray_box_observer.context_nodes.rotor.window import delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
@@ -49,9 +49,16 @@ FEWEST = 64
 LARGEST_SHARE = 0.5
 """Share of the samples that a lag may take to settle."""
 
+SWINGING = 0.5
+"""Share of a step that is taken where it leads back: the voltage is made with the winding of the
+fit before, so that lag and winding may swing about where they agree."""
+
 STEADY = 0.3
 """Share of a lag by which a fit moves it at most where the residual tells the memory of the noise:
 a wrong lag leaves a residual that looks like such noise."""
+
+MOST_KIND_WORK = 524288
+"""Work of the question whether a filter is of the other kind, at most."""
 
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
@@ -80,7 +87,8 @@ class FormFit:
     @property
     def settle_s(self) -> float:
         """Time in s behind the start of a signal history that tells nothing."""
-        return 0.0 if self.kind.lag is None else SETTLED * self.kind.lag.lag_s
+        lag = self.kind.lag
+        return 0.0 if lag is None or lag.is_digital else SETTLED * lag.lag_s
 
     @property
     def is_misfit(self) -> bool:
@@ -181,6 +189,7 @@ class FormFitter:
             return fit
         usual_s = float(median(interval_s[interval_s > 0.0]))
         limit_s = LARGEST_SHARE * float(interval_s.sum()) / SETTLED
+        newest_step_s = 0.0
         for _ in range(MOST_LAGS):
             form = fit.form
             before = fit.kind.lag
@@ -191,9 +200,14 @@ class FormFitter:
             if before is None and not step.step_s > SURE_LAG * step.std_s:
                 break
             values = form.white_box.values(theta[0])
-            longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
-            next_s = min(max(lag_s + step.step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
             winding_s = values['inductance'] / values['resistance']
+            step_s = step.step_s if abs(step.step_s) > step.std_s else 0.0
+            if before is not None and step_s * newest_step_s < 0.0:  # it swings
+                step_s *= SWINGING
+                winding_s = before.winding_s + SWINGING * (winding_s - before.winding_s)
+            newest_step_s = step_s
+            longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
+            next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
             is_digital = before is not None and before.is_digital
             is_steady = abs(step.step_s) <= STEADY * lag_s
             memory = step.memory if is_steady else (0.0 if before is None else before.memory)
@@ -204,18 +218,28 @@ class FormFitter:
         return fit
 
     def _with_likelier_filter(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Take the lag for a moving average of the samples, where that is likelier.
+        """Take the lag for a moving average, or for the winding's, where that is likelier.
 
-        Noise passes that, too. So it is asked where the noise has a memory.
+        Noise passes the filter. So it is asked where the residual is correlated: what was taken for
+        the winding may be the filter. For a moving average the slower of the two is taken first.
 
         Args:
             fit: of the form with an analogue lag, or with none.
             content: shape (signal, 1, n): the samples.
         """
         lag = fit.kind.lag
-        if lag is None or not lag.memory:
+        if lag is None:
             return fit
-        other = yield from self._of_other_kind(fit, content)
+        correlation = yield from self._correlation(fit, content)
+        if not correlation:
+            return fit
+        slower = lag if lag.lag_s > lag.winding_s else lag.turned
+        other = yield from self._of_kind(fit, slower._replace(is_digital=True, memory=0.0), content)
+        if _evidence(fit, other, content) < 0.0:
+            return other
+        if correlation <= lag.memory + SAME_MEMORY:  # it is what the filter leaves
+            return fit
+        other = yield from self._of_kind(fit, lag.turned, content)
         return other if _evidence(fit, other, content) < 0.0 else fit
 
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
@@ -282,29 +306,45 @@ class FormFitter:
     def _of_sure_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Ask whether the filter may be of the other kind: analogue, or a moving average.
 
-        It is asked where its noise has a memory, as that of a moving average does.
+        It is asked where its noise is correlated, as that of a moving average is.
         """
         lag = fit.kind.lag
-        if lag is None or not lag.memory:
+        if lag is None or not (lag.is_digital or (yield from self._correlation(fit, content))):
             return fit
-        other = yield from self._of_other_kind(fit, content)
+        interval_s = content[INTERVAL, 0]
+        usual_s = float(median(interval_s[interval_s > 0.0]))
+        memory = math.exp(-usual_s / lag.lag_s) if lag.is_digital else 0.0
+        other_lag = lag._replace(is_digital=not lag.is_digital, memory=memory)
+        other = yield from bounded(self._of_kind(fit, other_lag, content), MOST_KIND_WORK)
+        if other is None:  # it is a misfit where it was asked for, which costs most
+            return fit
         evidence = _evidence(fit, other, content)
-        other_lag = other.kind.lag
-        assert other_lag is not None
         if evidence < 0.0:
             fit, other = other, fit
-            lag = other_lag._replace(other_order=lag.other_order)
+            assert fit.kind.lag is not None
+            lag = fit.kind.lag._replace(other_order=lag.other_order)
         if not abs(evidence) < TOLD_APART:
             return fit
         lag = lag._replace(other_kind=tuple(_changes(fit, other)))
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
 
-    def _of_other_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a form whose filter is of the other kind, from where that with its own has ended."""
-        lag = fit.kind.lag
-        assert lag is not None
-        other_lag = lag.without_rivals._replace(is_digital=not lag.is_digital)
-        other = yield from self.again(replace(fit.kind, lag=other_lag), fit, content)
+    def _correlation(self, fit: FormFit, content: Array) -> Pieces[float]:
+        """Return the correlation of the residual of a rotor behind a filter; 0 by chance."""
+        form = fit.form
+        driven_content = form.driven(content)
+        step = lag_step(form.white_box, fit.estimate.value, driven_content, fit.kind.lag)
+        yield WORK_A_SAMPLE * content.shape[2]
+        return step.correlation
+
+    def _of_kind(self, fit: FormFit, lag: CurrentLag, content: Array) -> Pieces[FormFit]:
+        """Fit a form with a filter of another kind.
+
+        Args:
+            fit: of the form with its own.
+            lag: where the search for the other one begins.
+            content: shape (signal, 1, n): the samples.
+        """
+        other = yield from self.again(replace(fit.kind, lag=lag.without_rivals), fit, content)
         other = yield from self._with_settled_lag(other, content)
         yield WORK_A_SAMPLE * content.shape[2]
         return other

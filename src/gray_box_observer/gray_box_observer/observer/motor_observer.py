@@ -570,7 +570,7 @@ class MotorObserver:
         if self._belief.level is not None and 'level' in plain:
             self._belief.level.restore(group(plain, 'level'), place)
         path = self._voltage_path
-        if path is not None and ('voltage_path' in plain or path.has_lag):
+        if path is not None and ('voltage_path' in plain or path.has_filter):
             replay = self.context_nodes.replay
             count = min(replay.stored(motor), replay.capacity)
             saved_path = group(plain, 'voltage_path')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
+from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.replay_buffer import INTERVAL
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -127,10 +130,13 @@ class MotorView:
 
     @property
     def filter_remedy(self) -> str | None:
-        """What to do about a filter that hides the inductance; None where none was found."""
-        if not self._lag_beside_speed_s:
-            return None
+        """What to do about a filter that hides the inductance; None where there is nothing to do.
+
+        Beside a hidden rotor a moving average can be undone.
+        """
         weight = self._smoothing_weight
+        if not (self._lag_beside_speed_s or weight):
+            return None
         remedy = 'send the current as it is measured'
         if weight:
             remedy = f'undo it by torque.expression: unsmoothed(raw, {weight:.3g})'
@@ -139,11 +145,17 @@ class MotorView:
     @property
     def _smoothing_weight(self) -> float:
         """Weight of the newest value in a moving average of the current; 0: none is told."""
-        nodes = self.observer.context_nodes
-        is_misfit = self.fit.verdict is FitVerdict.MISFIT
-        if is_misfit or not isinstance(nodes, MeasuredSpeedUpdate):
+        if self.fit.verdict is FitVerdict.MISFIT:
             return 0.0
-        return nodes.smoothing_weight
+        nodes = self.observer.context_nodes
+        if isinstance(nodes, MeasuredSpeedUpdate):
+            return nodes.smoothing_weight
+        lag = self.observer.form_choice.kind.lag
+        interval_s = self.newest(MOST_JUDGED)[INTERVAL]
+        interval_s = interval_s[interval_s > 0.0]
+        if lag is None or not lag.is_digital or lag.other_kind or not interval_s.size:
+            return 0.0
+        return -math.expm1(-float(median(interval_s)) / lag.lag_s)
 
     @property
     def _lag_beside_speed_s(self) -> float:

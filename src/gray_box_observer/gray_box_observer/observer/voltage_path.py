@@ -5,11 +5,13 @@ nobody knows the voltage then, and no current flows. A sensor that lags by first
 the current of a voltage that lags alike, for what is linear may change places. The white box holds
 its voltage over an interval, and a voltage that lags moves within it. Its place takes the constant
 voltage that brings a winding of the same time constant L/R to the same end
-(docs/METHOD.md, Which effects).
+(docs/METHOD.md, Which effects). A moving average of the readings is undone instead: two in a row
+tell the newest value in it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -26,7 +28,7 @@ from gray_box_observer.safe_io.saved_state import (
     check_array,
     number,
 )
-from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.interface import Array
@@ -41,7 +43,7 @@ NEGLIGIBLE = 1e-9
 
 
 class VoltagePath:
-    """Makes of commands the voltages that the white box takes.
+    """Makes of commands the voltages that the white box takes, and of readings its torques.
 
     Where a signal history begins, what lags is unknown for some time. Samples that come meanwhile
     begin a history each: they teach nothing.
@@ -56,16 +58,30 @@ class VoltagePath:
         self, dead_zone_v: Array, lag: CurrentLag | None = None, *, coasts: bool = False
     ) -> None:
         self._dead_zone_v = dead_zone_v
-        self._lag = lag
+        is_average = lag is not None and lag.is_digital
+        self._lag = None if is_average else lag
+        self._average = lag if is_average else None
         self._coasts = coasts
         self._lagging_v = np.zeros(dead_zone_v.shape)
         self._since_s = np.zeros(dead_zone_v.shape)  # the signal history began
+        self._reading_nm = np.zeros(dead_zone_v.shape)  # the newest one, as it came
         self._commands_v: deque[float] = deque(maxlen=LONGEST)
+        self._readings_nm: deque[float] = deque(maxlen=LONGEST)  # where they are averaged
 
     @property
     def has_lag(self) -> bool:
-        """Whether the current sensor lags."""
+        """Whether the current of the white box lags, as that of the sensor does."""
         return self._lag is not None
+
+    @property
+    def has_filter(self) -> bool:
+        """Whether the current sensor lags, or averages its readings."""
+        return self.has_lag or self._average is not None
+
+    def newest_share(self, interval_s: float) -> float:
+        """Return the weight of the newest value in a reading after an interval in s."""
+        average = self._average
+        return 1.0 if average is None else -math.expm1(-interval_s / average.lag_s)
 
     def voltage(self, interval_s: Array, command_v: Array) -> Array:
         """Return the voltage over the next interval in V; changes nothing.
@@ -85,6 +101,8 @@ class VoltagePath:
         """
         if self._coasts:
             return np.where(self._opens(command_v), 0.0, interval_s)
+        if self._average is not None:  # the reading before it belongs to the history
+            return np.where((interval_s > 0.0) & (self._since_s > 0.0), interval_s, 0.0)
         if self._lag is None:
             return interval_s
         since_s = self._since_s + interval_s
@@ -117,20 +135,32 @@ class VoltagePath:
             self._commands_v.append(float(sample.voltage_v[0]))
         interval_s = sample.interval_s
         known_interval_s = self.known_interval(interval_s, sample.voltage_v)
-        if self._lag is None:
+        if not self.has_filter:
             voltage_v = _outside(sample.voltage_v, self._dead_zone_v)
             return sample._replace(voltage_v=voltage_v, interval_s=known_interval_s)
         voltage_v, self._lagging_v = self._voltage_and_end(
             self._lagging_v, interval_s, sample.voltage_v
         )
         self._since_s = np.where(interval_s > 0.0, self._since_s + interval_s, 0.0)
-        return sample._replace(voltage_v=voltage_v, interval_s=known_interval_s)
+        torque_nm = sample.torque_nm
+        if self._average is not None:
+            if is_kept:
+                self._readings_nm.append(float(torque_nm[0]))
+            torque_nm = _newest_values(self._average, interval_s, self._reading_nm, torque_nm)
+            self._reading_nm = sample.torque_nm
+        return sample._replace(
+            voltage_v=voltage_v, torque_nm=torque_nm, interval_s=known_interval_s
+        )
 
     def follow_content(self, content: Array) -> Array:
         """Begin anew with samples, shape (signal, 1, n); return them with the voltages."""
         path_content, self._lagging_v, self._since_s = self._driven_to_end(content)
+        self._reading_nm = content[TORQUE, :, -1].copy()
         self._commands_v.clear()
         self._commands_v.extend(content[VOLTAGE, 0].tolist())
+        self._readings_nm.clear()
+        if self._average is not None:
+            self._readings_nm.extend(content[TORQUE, 0].tolist())
         return path_content
 
     def driven(self, content: Array) -> Array:
@@ -163,11 +193,12 @@ class VoltagePath:
         return self._dead_zone_v.size == 1
 
     def commanded(self, content: Array) -> Array:
-        """Return the newest samples, shape (signal, 1, n), with the commands that led to them."""
-        count = min(content.shape[2], len(self._commands_v))
+        """Return the newest samples, shape (signal, 1, n), with their commands and readings."""
         content = content.copy()
-        if count:
-            content[VOLTAGE, 0, -count:] = list(self._commands_v)[-count:]
+        for signal, values in ((VOLTAGE, self._commands_v), (TORQUE, self._readings_nm)):
+            count = min(content.shape[2], len(values))
+            if count:
+                content[signal, 0, -count:] = list(values)[-count:]
         return content
 
     def _driven_to_end(self, content: Array) -> tuple[Array, Array, Array]:
@@ -182,15 +213,21 @@ class VoltagePath:
         content[VOLTAGE] = voltage_v
         lag = self._lag
         nothing = np.zeros(content.shape[1])
-        if lag is None:
+        if not self.has_filter:
             return content, nothing, nothing
         interval_s = content[INTERVAL].copy()
         interval_s[:, 0] = 0.0
+        since_s = _since_start(interval_s)
+        if lag is None:
+            assert self._average is not None
+            before_nm = np.roll(content[TORQUE], 1, axis=1)
+            content[TORQUE] = _newest_values(self._average, interval_s, before_nm, content[TORQUE])
+            content[INTERVAL] = np.where(since_s > interval_s, interval_s, 0.0)
+            return content, nothing, since_s[:, -1]
         begins = interval_s <= 0.0
         remainder = np.where(begins, 0.0, np.exp(-interval_s / lag.lag_s))
         inputs = (1.0 - remainder) * voltage_v
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
-        since_s = _since_start(interval_s)
         share = _share(interval_s, lag)
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
         content[INTERVAL] = np.where(since_s > SETTLED * lag.lag_s, interval_s, 0.0)
@@ -222,7 +259,11 @@ class VoltagePath:
         }
         if not self._is_alone:
             return plain, {}
-        return plain, {'commands': np.array(self._commands_v, dtype=float)}
+        arrays = {'commands': np.array(self._commands_v, dtype=float)}
+        if self._average is not None:
+            plain['reading_nm'] = float(self._reading_nm[motor])
+            arrays['readings'] = np.array(self._readings_nm, dtype=float)
+        return plain, arrays
 
     def restore(
         self, plain: Mapping[str, Any], arrays: Mapping[str, Array], motor: int, count: int
@@ -241,21 +282,58 @@ class VoltagePath:
         lagging_v = number(plain, 'lagging_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
         since_s = number(plain, 'since_s', 0.0, LARGEST)
         self._commands_v.clear()
+        self._readings_nm.clear()
         if self._is_alone and 'commands' in arrays:
-            commands_v = arrays['commands']
-            rule = ArrayRule((None,), -LARGEST_SIGNAL, LARGEST_SIGNAL)
-            check_array('voltage_path/commands', commands_v, rule)
-            least = min(count, LONGEST) if self.has_lag else 0
-            if not least <= commands_v.size <= LONGEST:
-                raise CheckpointError(
-                    f'voltage_path/commands holds {commands_v.size} commands, expected {least} to '
-                    f'{LONGEST}'
-                )
-            self._commands_v.extend(commands_v.tolist())
-        elif self.has_lag:
+            least = min(count, LONGEST) if self.has_filter else 0
+            self._commands_v.extend(_saved_signal('commands', arrays, least))
+        elif self.has_filter:
             raise CheckpointError('voltage_path/commands is missing')
+        if self._average is not None:
+            self._readings_nm.extend(_saved_signal('readings', arrays, min(count, LONGEST)))
+            reading_nm = number(plain, 'reading_nm', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+            self._reading_nm = np.array([reading_nm])
         self._lagging_v[motor] = lagging_v
         self._since_s[motor] = since_s
+
+
+def _saved_signal(name: str, arrays: Mapping[str, Array], least: int) -> list[float]:
+    """Return the saved values of a signal.
+
+    Args:
+        name: what they are called.
+        arrays: of a state.
+        least: how many there must be.
+
+    Raises:
+        CheckpointError: they are missing, or none that there could have been.
+    """
+    if name not in arrays:
+        raise CheckpointError(f'voltage_path/{name} is missing')
+    signal = arrays[name]
+    check_array(f'voltage_path/{name}', signal, ArrayRule((None,), -LARGEST_SIGNAL, LARGEST_SIGNAL))
+    if not least <= signal.size <= LONGEST:
+        raise CheckpointError(
+            f'voltage_path/{name} holds {signal.size} {name}, expected {least} to {LONGEST}'
+        )
+    values: list[float] = signal.tolist()
+    return values
+
+
+def _newest_values(
+    average: CurrentLag, interval_s: Array, before_nm: Array, reading_nm: Array
+) -> Array:
+    """Return the newest values in moving averages in N m, shape of the readings.
+
+    Args:
+        average: which the sensor makes.
+        interval_s: between two readings; 0 where a signal history begins: there the reading itself
+            is taken.
+        before_nm: the readings before.
+        reading_nm: the readings.
+    """
+    kept_share = np.where(interval_s > 0.0, np.exp(-interval_s / average.lag_s), 0.0)
+    values: Array = (reading_nm - kept_share * before_nm) / (1.0 - kept_share)
+    return values
 
 
 def beyond_start(content: Array, path_content: Array, settle_s: float) -> Array:
@@ -303,13 +381,9 @@ def _outside(command_v: Array, dead_zone_v: Array) -> Array:
 def _share(interval_s: Array, lag: CurrentLag) -> Array:
     """Return how much of the lagging voltage at an interval's start the constant one has.
 
-    A moving average of samples that answer constant voltages answers the moving average of these.
-    Behind an analogue filter the share is
-    ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant of the
-    winding: what starts 1 V above its end moves the winding as so many constant volts do.
+    It is ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant
+    of the winding: what starts 1 V above its end moves the winding as so many constant volts do.
     """
-    if lag.is_digital:
-        return np.exp(-interval_s / lag.lag_s)
     fast, slow = sorted((1.0 / lag.lag_s, 1.0 / lag.winding_s), reverse=True)
     apart = np.maximum((fast - slow) * interval_s, NEGLIGIBLE)
     progress_s = interval_s * np.exp(-slow * interval_s) * -np.expm1(-apart) / apart

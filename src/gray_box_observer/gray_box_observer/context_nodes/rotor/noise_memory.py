@@ -44,7 +44,7 @@ def without_memory(signal: Array, memory: float, begins: NDArray[np.bool_] | Non
     return result
 
 
-def memory_of(residuals_a: Sequence[Array], longest: float) -> float:
+def memory_of(residuals_a: Sequence[Array], longest: float = LONGEST_MEMORY) -> float:
     """Return the correlation of the noise at two samples in a row; 0 where chance would be enough.
 
     Args:
@@ -60,7 +60,5 @@ def memory_of(residuals_a: Sequence[Array], longest: float) -> float:
         product += float(off_a[1:] @ off_a[:-1])
         power += float(off_a @ off_a)
         count += residual_a.size
-    memory = product / max(power, 1e-300)
-    if not memory > CHANCE / np.sqrt(max(count, 1)):
-        return 0.0
-    return min(memory, longest, LONGEST_MEMORY)
+    memory = min(product / max(power, 1e-300), longest, LONGEST_MEMORY)
+    return memory if memory > CHANCE / np.sqrt(max(count, 1)) else 0.0
