@@ -437,4 +437,6 @@ def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:
     winding_share = abs(lag.winding_s / before.winding_s - 1.0)
     is_same_noise = abs(lag.memory - before.memory) < SAME_MEMORY
     is_same_lag = abs(lag.lag_s - before.lag_s) <= nearest_s
-    return is_same_lag and is_same_noise and winding_share <= NEAR_WINDING
+    # of an average that is undone the winding makes no voltage
+    is_same_winding = lag.is_digital or winding_share <= NEAR_WINDING
+    return is_same_lag and is_same_noise and is_same_winding
