@@ -70,6 +70,21 @@ def test_the_memory_of_noise_is_found_whatever_lies_far_off(memory: float) -> No
     assert memory_of(parts, 0.5 * memory) == pytest.approx(0.5 * memory)
 
 
+@pytest.mark.parametrize('share', [0.2, 0.4, 0.6])
+def test_noise_behind_an_average_that_is_undone_has_a_negative_memory(share: float) -> None:
+    new = np.random.default_rng(4).normal(size=(2, 3000))
+    parts = [np.concatenate([one[:1], one[1:] - share * one[:-1]]) for one in new]
+    assert memory_of(parts, is_undone=True) == pytest.approx(-share, abs=0.07)
+    assert memory_of(parts, 0.5 * share, is_undone=True) == pytest.approx(-0.5 * share)
+    assert memory_of(parts) == 0.0
+    begins = np.arange(6000) % 3000 == 0
+    white = without_memory(np.concatenate(parts), -share, begins)
+    np.testing.assert_allclose(white[100:3000], new[0, 100:], atol=1e-6)
+    np.testing.assert_allclose(white[3100:], new[1, 100:], atol=1e-6)
+    columns = without_memory(np.stack([parts[0], 2.0 * parts[0]], axis=1), -share)
+    np.testing.assert_allclose(columns, np.stack([white[:3000], 2.0 * white[:3000]], axis=1))
+
+
 def test_white_noise_remembers_nothing_and_nothing_remembers_for_ever() -> None:
     found = [memory_of([remembered_noise(500, 0.0, seed)]) for seed in range(50)]
     assert np.count_nonzero(found) <= 1

@@ -42,8 +42,8 @@ class LagStep(NamedTuple):
     Attributes:
         step_s: by how much it is too short.
         std_s: standard deviation of that.
-        memory: correlation of the current's noise at two samples in a row, as a filter of the lag
-            that is right may have it; 0 without a rotor.
+        memory: of the current's noise, as a filter of the lag that is right may leave it
+            (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`); 0 without a rotor.
         correlation: the same of the residual, as any filter may have it.
     """
 
@@ -81,7 +81,8 @@ def lag_step(
     std_s = noise_a / math.sqrt(power) if power > 0.0 else math.inf
     if isinstance(run, RotorFreeRun):
         lag_s = step_s + (0.0 if lag is None else lag.lag_s)
-        memory = memory_of(run.runs.misread_a, _kept_share(run, lag_s))
+        is_undone = lag is not None and lag.is_average
+        memory = memory_of(run.runs.misread_a, _kept_share(run, lag_s), is_undone=is_undone)
         correlation = memory_of(run.runs.misread_a)
     return LagStep(step_s, std_s, memory, correlation)
 
@@ -105,7 +106,7 @@ def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
     slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope
-    if lag is not None and lag.is_digital:
+    if lag is not None and lag.is_average:
         return run.beyond_memory(_by_average(run, lag_s))
     by_lag: Array = -recurrence(remainder[None], inputs[None, None], np.zeros((1, 1)))[0, 0]
     return run.beyond_memory(by_lag)
@@ -114,16 +115,16 @@ def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
 def _by_average(run: FreeRun, lag_s: float) -> Array:
     """Differentiate a current by the time constant of a moving average that was undone, in A/s.
 
-    Of its readings ``f_k = r f_(k-1) + (1 - r) i_k`` the step is that of the regression of what is
-    new in them, in the unit of the current: the noise of ``f_(k-1)`` is not that of ``i_k``.
+    Of its readings ``f_k = r f_(k-1) + (1 - r) i_k`` it is what is new in them, in the unit of the
+    current. The readings are those of the run: of measured ones the noise would bend the step.
 
     Args:
-        run: along the values that the readings are averages of.
+        run: of the current that the readings are averages of.
         lag_s: the time constant in s, positive.
     """
     interval_s = run.stretch.interval_s[0]
     kept_share = np.where(run.is_whole, np.exp(-interval_s / lag_s), 0.0)
-    newest_a = run.stretch.state
+    newest_a = run.current_a[None]
     reading_a = recurrence(
         kept_share[None], ((1.0 - kept_share) * newest_a[:, 1:])[None], newest_a[:, :1]
     )[0, 0]
@@ -229,7 +230,7 @@ def lag_shifts(
         apart_s = max(abs(winding_s - lag.lag_s), LEAST * lag.lag_s)
         share = STAMP_STD * interval_s * lag.lag_s / (apart_s * winding_s)
         shifts.append(np.array([share * (name == 'inductance') for name in names]))
-    if white_box.has_rotor and not lag.is_digital:
+    if white_box.has_rotor and not lag.is_average:
         stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
         square_s2 = values['inductance'] * values['inertia'] / stiffness
         share = interval_s**2 / (12.0 * square_s2)

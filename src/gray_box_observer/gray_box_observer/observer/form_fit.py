@@ -25,7 +25,7 @@ from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
-from gray_box_observer.settings.sensor_lag import LARGEST_CHANGE, CurrentLag
+from gray_box_observer.settings.sensor_lag import LARGEST_CHANGE, CurrentLag, FilterKind
 from gray_box_observer.white_box.interface import Array
 
 MOST_ZONES, MOST_LAGS = 4, 6
@@ -57,8 +57,18 @@ STEADY = 0.3
 """Share of a lag by which a fit moves it at most where the residual tells the memory of the noise:
 a wrong lag leaves a residual that looks like such noise."""
 
+MEAN_LAGS = (0.2, 0.8)
+"""Lags, in sample intervals, as which readings show that are means of their intervals: these are
+late by half of one."""
+
 MOST_KIND_WORK = 524288
-"""Work of the question whether a filter is of the other kind, at most."""
+"""Work of the question whether a filter is of another kind, at most."""
+
+SURELY_APART = 3.0 * TOLD_APART
+"""Log-likelihood by which every fit on the way has to be worse where it was not enough."""
+
+UNASKED = 0.05
+"""Change of every parameter that counts where nothing is told then."""
 
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
@@ -88,7 +98,8 @@ class FormFit:
     def settle_s(self) -> float:
         """Time in s behind the start of a signal history that tells nothing."""
         lag = self.kind.lag
-        return 0.0 if lag is None or lag.is_digital else SETTLED * lag.lag_s
+        is_late = lag is not None and not (lag.is_average or lag.is_mean)
+        return SETTLED * lag.lag_s if lag is not None and is_late else 0.0
 
     @property
     def is_misfit(self) -> bool:
@@ -154,7 +165,7 @@ class FormFitter:
         fit = yield from self._with_settled_lag(fit, content)
         fit = yield from self._with_likelier_filter(fit, content)
         lag = fit.kind.lag
-        if lag is not None and fit.is_misfit:  # the search begins with the shorter lag
+        if lag is not None and fit.is_misfit and not lag.is_mean:  # it began with the shorter lag
             other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
             other = yield from self._with_settled_lag(other, content)
             return fit if other.is_misfit else other
@@ -182,15 +193,25 @@ class FormFitter:
         is_new = CURRENT_LAG not in kind.effects
         return is_likeliest and is_new and self._open.contains(kind.with_effect(CURRENT_LAG))
 
-    def _with_settled_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a form again, until its lag of the current stays; it has none where none is seen."""
+    def _with_settled_lag(
+        self, fit: FormFit, content: Array, fits: list[FormFit] | None = None
+    ) -> Pieces[FormFit]:
+        """Fit a form again, until its lag of the current stays; it has none where none is seen.
+
+        Args:
+            fit: of the form.
+            content: shape (signal, 1, n): the samples.
+            fits: takes every fit on the way, the first one too; None: nobody asks for them.
+        """
         interval_s = content[INTERVAL, 0]
         if not (interval_s > 0.0).any():
             return fit
-        usual_s = float(median(interval_s[interval_s > 0.0]))
+        usual_s = _usual_interval(content)
         limit_s = LARGEST_SHARE * float(interval_s.sum()) / SETTLED
         newest_step_s = 0.0
         for _ in range(MOST_LAGS):
+            if fits is not None:
+                fits.append(fit)
             form = fit.form
             before = fit.kind.lag
             lag_s = 0.0 if before is None else before.lag_s
@@ -208,38 +229,45 @@ class FormFitter:
             newest_step_s = step_s
             longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
             next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
-            is_digital = before is not None and before.is_digital
+            if before is not None and before.is_mean:
+                next_s = lag_s
+            filter_kind = FilterKind.FIRST_ORDER if before is None else before.filter_kind
             is_steady = abs(step.step_s) <= STEADY * lag_s
             memory = step.memory if is_steady else (0.0 if before is None else before.memory)
-            lag = CurrentLag(next_s, winding_s, (), memory, is_digital)
+            lag = CurrentLag(next_s, winding_s, (), memory, filter_kind)
             if not lag.is_possible or (before is not None and _is_near(lag, before, step.std_s)):
                 break
             fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
         return fit
 
     def _with_likelier_filter(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Take the lag for a moving average, or for the winding's, where that is likelier.
+        """Take the lag of a rotor's current for that of another filter, where that is likelier.
 
-        Noise passes the filter. So it is asked where the residual is correlated: what was taken for
-        the winding may be the filter. For a moving average the slower of the two is taken first.
+        Noise passes a moving average. So that is asked for where the residual is correlated. What
+        was taken for the winding may be the filter: the slower of both is taken first. Where it is
+        more correlated than the lag explains, that may stand in the wrong order. Readings that are
+        means have white noise.
 
         Args:
-            fit: of the form with an analogue lag, or with none.
+            fit: of the form with a lag of first order, or with none.
             content: shape (signal, 1, n): the samples.
         """
         lag = fit.kind.lag
-        if lag is None:
+        if lag is None or fit.kind.source != ROTOR:
             return fit
         correlation = yield from self._correlation(fit, content)
-        if not correlation:
-            return fit
-        slower = lag if lag.lag_s > lag.winding_s else lag.turned
-        other = yield from self._of_kind(fit, slower._replace(is_digital=True, memory=0.0), content)
-        if _evidence(fit, other, content) < 0.0:
-            return other
+        if correlation:
+            slower = lag if lag.lag_s > lag.winding_s else lag.turned
+            other = yield from self._of_kind(fit, slower, FilterKind.MOVING_AVERAGE, content)
+            if _evidence(fit, other, content) < 0.0:
+                return other
+        if fit.is_misfit and _may_be_mean(lag, content):
+            other = yield from self._of_kind(fit, lag, FilterKind.INTERVAL_MEAN, content)
+            if _evidence(fit, other, content) < 0.0:
+                return other
         if correlation <= lag.memory + SAME_MEMORY:  # it is what the filter leaves
             return fit
-        other = yield from self._of_kind(fit, lag.turned, content)
+        other = yield from self._of_kind(fit, lag.turned, FilterKind.FIRST_ORDER, content)
         return other if _evidence(fit, other, content) < 0.0 else fit
 
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
@@ -282,7 +310,7 @@ class FormFitter:
         what leans on the order.
         """
         lag = fit.kind.lag
-        if lag is None:
+        if lag is None or lag.is_mean:
             return fit
         start = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
         other = yield from self._with_settled_lag(start, content)
@@ -304,28 +332,39 @@ class FormFitter:
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
 
     def _of_sure_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Ask whether the filter may be of the other kind: analogue, or a moving average.
+        """Ask whether the filter of a rotor's current may be of another kind.
 
-        It is asked where its noise is correlated, as that of a moving average is.
+        Of a filter of first order a moving average is the rival where the noise is correlated, and
+        the mean of the interval where it is not.
         """
         lag = fit.kind.lag
-        if lag is None or not (lag.is_digital or (yield from self._correlation(fit, content))):
+        if lag is None or fit.kind.source != ROTOR:
             return fit
-        interval_s = content[INTERVAL, 0]
-        usual_s = float(median(interval_s[interval_s > 0.0]))
-        memory = math.exp(-usual_s / lag.lag_s) if lag.is_digital else 0.0
-        other_lag = lag._replace(is_digital=not lag.is_digital, memory=memory)
-        other = yield from bounded(self._of_kind(fit, other_lag, content), MOST_KIND_WORK)
-        if other is None:  # it is a misfit where it was asked for, which costs most
+        rival = FilterKind.FIRST_ORDER
+        if lag.filter_kind is rival:
+            correlation = yield from self._correlation(fit, content)
+            rival = FilterKind.MOVING_AVERAGE if correlation else FilterKind.INTERVAL_MEAN
+        if rival is FilterKind.INTERVAL_MEAN and not _may_be_mean(lag, content):
             return fit
-        evidence = _evidence(fit, other, content)
-        if evidence < 0.0:
-            fit, other = other, fit
-            assert fit.kind.lag is not None
-            lag = fit.kind.lag._replace(other_order=lag.other_order)
-        if not abs(evidence) < TOLD_APART:
-            return fit
-        lag = lag._replace(other_kind=tuple(_changes(fit, other)))
+        fits: list[FormFit] = []
+        pieces = self._of_kind(fit, lag, rival, content, fits)
+        other = yield from bounded(pieces, MOST_KIND_WORK)
+        changes = [UNASKED] * len(fit.estimate.parameters)
+        if other is None:  # a misfit where it was asked for, which costs most
+            if min((_evidence(fit, one, content) for one in fits), default=0.0) > SURELY_APART:
+                return fit
+        else:
+            evidence = _evidence(fit, other, content)
+            if evidence < 0.0:
+                fit, other = other, fit
+                if abs(evidence) >= TOLD_APART:
+                    return (yield from self._ordered(fit, content))
+            if abs(evidence) >= TOLD_APART:
+                return fit
+            changes = _changes(fit, other)
+        own_lag = fit.kind.lag
+        assert own_lag is not None
+        lag = own_lag._replace(other_order=lag.other_order, other_kind=tuple(changes))
         return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
 
     def _correlation(self, fit: FormFit, content: Array) -> Pieces[float]:
@@ -336,16 +375,30 @@ class FormFitter:
         yield WORK_A_SAMPLE * content.shape[2]
         return step.correlation
 
-    def _of_kind(self, fit: FormFit, lag: CurrentLag, content: Array) -> Pieces[FormFit]:
-        """Fit a form with a filter of another kind.
+    def _of_kind(
+        self,
+        fit: FormFit,
+        lag: CurrentLag,
+        filter_kind: FilterKind,
+        content: Array,
+        fits: list[FormFit] | None = None,
+    ) -> Pieces[FormFit]:
+        """Fit a form with a filter of a kind.
 
         Args:
-            fit: of the form with its own.
-            lag: where the search for the other one begins.
+            fit: of the form with another filter.
+            lag: where the search begins, whatever it comes from.
+            filter_kind: what it is to come from.
             content: shape (signal, 1, n): the samples.
+            fits: takes every fit on the way; None: nobody asks for them.
         """
-        other = yield from self.again(replace(fit.kind, lag=lag.without_rivals), fit, content)
-        other = yield from self._with_settled_lag(other, content)
+        usual_s = _usual_interval(content)
+        lag_s = 0.5 * usual_s if filter_kind is FilterKind.INTERVAL_MEAN else lag.lag_s
+        was_average = lag.is_average and filter_kind is FilterKind.FIRST_ORDER
+        memory = math.exp(-usual_s / lag_s) if was_average else 0.0
+        start = CurrentLag(lag_s, lag.winding_s, (), memory, filter_kind)
+        other = yield from self.again(replace(fit.kind, lag=start), fit, content)
+        other = yield from self._with_settled_lag(other, content, fits)
         yield WORK_A_SAMPLE * content.shape[2]
         return other
 
@@ -370,6 +423,18 @@ def _dead_zone(estimate: Estimate, content: Array) -> float:
     place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
     largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
     return min(float(estimate.value[0, place]), largest_v)
+
+
+def _usual_interval(content: Array) -> float:
+    """Return the median sample interval of samples, shape (signal, 1, n), in s."""
+    interval_s = content[INTERVAL, 0]
+    return float(median(interval_s[interval_s > 0.0]))
+
+
+def _may_be_mean(lag: CurrentLag, content: Array) -> bool:
+    """Tell whether a lag may be that of readings which are means of their intervals."""
+    low, high = MEAN_LAGS
+    return low < lag.lag_s / _usual_interval(content) < high
 
 
 def _changes(fit: FormFit, other: FormFit) -> list[float]:
@@ -438,5 +503,5 @@ def _is_near(lag: CurrentLag, before: CurrentLag, std_s: float) -> bool:
     is_same_noise = abs(lag.memory - before.memory) < SAME_MEMORY
     is_same_lag = abs(lag.lag_s - before.lag_s) <= nearest_s
     # of an average that is undone the winding makes no voltage
-    is_same_winding = lag.is_digital or winding_share <= NEAR_WINDING
+    is_same_winding = lag.is_average or winding_share <= NEAR_WINDING
     return is_same_lag and is_same_noise and is_same_winding

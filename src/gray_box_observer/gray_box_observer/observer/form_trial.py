@@ -44,7 +44,7 @@ from gray_box_observer.settings.motor_configuration import (
     DEAD_ZONE,
     VARYING_LOAD,
 )
-from gray_box_observer.settings.sensor_lag import CurrentLag
+from gray_box_observer.settings.sensor_lag import LONGEST_MEMORY, CurrentLag, FilterKind
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -83,6 +83,13 @@ LONGEST_BACKLOG = 4096
 
 _RESISTANCE = 'resistance'
 _DECISIVE = (_RESISTANCE, 'inertia')
+
+_KINDS = [*FilterKind]
+_KIND_IN_WORDS = {
+    FilterKind.FIRST_ORDER: '',
+    FilterKind.MOVING_AVERAGE: ', that of a moving average',
+    FilterKind.INTERVAL_MEAN: ', for readings are means of their intervals',
+}
 
 _TRIAL = 'trial'
 _BACKLOG = 'backlog'
@@ -448,7 +455,7 @@ def _on_lag(lag: CurrentLag | None) -> str:
     order_text = ''
     if lag.other_order:
         order_text = f' and L/R {1e3 * lag.winding_s:.3g} ms, or the other way round'
-    kind_text = ', that of a moving average' if lag.is_digital and not lag.other_kind else ''
+    kind_text = '' if lag.other_kind else _KIND_IN_WORDS[lag.filter_kind]
     return f'; the lag is {1e3 * lag.lag_s:.3g} ms{kind_text}{order_text}'
 
 
@@ -456,7 +463,8 @@ def _numbers_of(kind: FormKind) -> list[float]:
     """Return what is saved of a form behind the names of its effects."""
     if kind.lag is not None:
         lag = kind.lag
-        return [kind.dead_zone_v, lag.lag_s, lag.winding_s, lag.memory, float(lag.is_digital)]
+        place = float(_KINDS.index(lag.filter_kind))
+        return [kind.dead_zone_v, lag.lag_s, lag.winding_s, lag.memory, place]
     return [kind.dead_zone_v] if kind.dead_zone_v else []
 
 
@@ -466,10 +474,12 @@ def _kind_of(entries: list[Any]) -> FormKind:
     zone_v, *numbers = [one for one in entries if isinstance(one, float)] or [0.0]
     lag = None
     if numbers:
-        lag_s, winding_s, memory, is_digital = [*numbers, 0.0, 0.0][:4]  # early releases: two
-        lag = CurrentLag(lag_s, winding_s, (), memory, bool(is_digital))
-    if len(numbers) not in (0, 2, 4):
-        return FormKind('')
+        if len(numbers) not in (2, 4):
+            return FormKind('')
+        lag_s, winding_s, memory, place = [*numbers, 0.0, 0.0][:4]  # early releases: two
+        if place not in range(len(_KINDS)) or not abs(memory) <= LONGEST_MEMORY:
+            return FormKind('')
+        lag = CurrentLag(lag_s, winding_s, (), memory, _KINDS[int(place)])
     return FormKind(names[0] if names else '', tuple(names[1:]), zone_v, lag)
 
 

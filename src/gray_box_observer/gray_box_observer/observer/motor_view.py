@@ -153,7 +153,7 @@ class MotorView:
         lag = self.observer.form_choice.kind.lag
         interval_s = self.newest(MOST_JUDGED)[INTERVAL]
         interval_s = interval_s[interval_s > 0.0]
-        if lag is None or not lag.is_digital or lag.other_kind or not interval_s.size:
+        if lag is None or not lag.is_average or lag.other_kind or not interval_s.size:
             return 0.0
         return -math.expm1(-float(median(interval_s)) / lag.lag_s)
 

@@ -41,6 +41,9 @@ SETTLED = 12.0
 
 NEGLIGIBLE = 1e-9
 
+SHORTEST = 1e-4
+"""Time constants of the winding that an interval lasts at least, of whose mean a share is made."""
+
 
 class VoltagePath:
     """Makes of commands the voltages that the white box takes, and of readings its torques.
@@ -58,7 +61,7 @@ class VoltagePath:
         self, dead_zone_v: Array, lag: CurrentLag | None = None, *, coasts: bool = False
     ) -> None:
         self._dead_zone_v = dead_zone_v
-        is_average = lag is not None and lag.is_digital
+        is_average = lag is not None and lag.is_average
         self._lag = None if is_average else lag
         self._average = lag if is_average else None
         self._coasts = coasts
@@ -77,6 +80,11 @@ class VoltagePath:
     def has_filter(self) -> bool:
         """Whether the current sensor lags, or averages its readings."""
         return self.has_lag or self._average is not None
+
+    @property
+    def _needs_one_before(self) -> bool:
+        """Whether a sample leans on the one before, and on no other."""
+        return self._average is not None or (self._lag is not None and self._lag.is_mean)
 
     def newest_share(self, interval_s: float) -> float:
         """Return the weight of the newest value in a reading after an interval in s."""
@@ -101,7 +109,7 @@ class VoltagePath:
         """
         if self._coasts:
             return np.where(self._opens(command_v), 0.0, interval_s)
-        if self._average is not None:  # the reading before it belongs to the history
+        if self._needs_one_before:  # the sample before it belongs to the history
             return np.where((interval_s > 0.0) & (self._since_s > 0.0), interval_s, 0.0)
         if self._lag is None:
             return interval_s
@@ -225,12 +233,13 @@ class VoltagePath:
             content[INTERVAL] = np.where(since_s > interval_s, interval_s, 0.0)
             return content, nothing, since_s[:, -1]
         begins = interval_s <= 0.0
-        remainder = np.where(begins, 0.0, np.exp(-interval_s / lag.lag_s))
+        remainder = np.where(begins, 0.0, _remainder(interval_s, lag))
         inputs = (1.0 - remainder) * voltage_v
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
         share = _share(interval_s, lag)
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
-        content[INTERVAL] = np.where(since_s > SETTLED * lag.lag_s, interval_s, 0.0)
+        settled_s = interval_s if lag.is_mean else SETTLED * lag.lag_s
+        content[INTERVAL] = np.where(since_s > settled_s, interval_s, 0.0)
         return content, lagging_v[:, -1], since_s[:, -1]
 
     def _voltage_and_end(
@@ -248,7 +257,7 @@ class VoltagePath:
         if lag is None:
             return voltage_v, start_v
         start_v = np.where(interval_s > 0.0, start_v, voltage_v)
-        end_v = voltage_v + (start_v - voltage_v) * np.exp(-interval_s / lag.lag_s)
+        end_v = voltage_v + (start_v - voltage_v) * _remainder(interval_s, lag)
         return voltage_v + _share(interval_s, lag) * (start_v - voltage_v), end_v
 
     def state(self, motor: int) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -378,15 +387,25 @@ def _outside(command_v: Array, dead_zone_v: Array) -> Array:
     return driving_v
 
 
+def _remainder(interval_s: Array, lag: CurrentLag) -> Array:
+    """Return what an interval leaves of the lagging voltage at its start: nothing of a mean's."""
+    return np.zeros_like(interval_s) if lag.is_mean else np.exp(-interval_s / lag.lag_s)
+
+
 def _share(interval_s: Array, lag: CurrentLag) -> Array:
     """Return how much of the lagging voltage at an interval's start the constant one has.
 
     It is ``(e^(-t/lag) - e^(-t/T)) / ((1/T - 1/lag) T (1 - e^(-t/T)))`` with T the time constant
     of the winding: what starts 1 V above its end moves the winding as so many constant volts do.
+    The mean of an interval falls straight: ``(1 - (1 + x) e^-x) / (x (1 - e^-x))`` with
+    ``x = t / T``.
     """
+    if lag.is_mean:
+        x = np.maximum(interval_s / lag.winding_s, SHORTEST)
+        share: Array = (-np.expm1(-x) - x * np.exp(-x)) / (x * -np.expm1(-x))
+        return share
     fast, slow = sorted((1.0 / lag.lag_s, 1.0 / lag.winding_s), reverse=True)
     apart = np.maximum((fast - slow) * interval_s, NEGLIGIBLE)
     progress_s = interval_s * np.exp(-slow * interval_s) * -np.expm1(-apart) / apart
     of_constant = -lag.winding_s * np.expm1(-interval_s / lag.winding_s)
-    share: Array = progress_s / np.maximum(of_constant, 1e-300)
-    return share
+    return np.asarray(progress_s / np.maximum(of_constant, 1e-300))

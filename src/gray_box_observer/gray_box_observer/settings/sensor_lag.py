@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Any, NamedTuple
 
-from gray_box_observer.safe_io.saved_state import ArrayRule, flag, number, numbers
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.safe_io.saved_state import ArrayRule, number, numbers
 
 SHORTEST_S = 1e-9
 """Shortest time constant that is credible."""
@@ -13,23 +15,36 @@ SHORTEST_S = 1e-9
 LONGEST_S = 100.0
 """Longest one."""
 
+LONGEST_MEMORY = 0.95
+"""Longest memory that is believed to be that of noise."""
+
 LARGEST_CHANGE = 1e3
 """Largest change of a parameter that is credible, relative to it."""
 
 
+class FilterKind(StrEnum):
+    """What makes the current of a sensor late."""
+
+    FIRST_ORDER = 'first_order'
+    """An analogue filter of first order, or a driver's in a loop far faster than it publishes."""
+    MOVING_AVERAGE = 'moving_average'
+    """Of the samples, in which every one weighs less than the next by the same factor."""
+    INTERVAL_MEAN = 'interval_mean'
+    """Readings are means over the sample interval before them."""
+
+
 class CurrentLag(NamedTuple):
-    """First-order lag of a current sensor.
+    """Lag of a current sensor behind a filter.
 
     Attributes:
-        lag_s: its time constant in s.
+        lag_s: its time constant in s; of a mean half a sample interval.
         winding_s: time constant L/R of the winding in s, by which the voltage is taken to lag.
         other_order: by how much the parameters change, relative to them, where the winding is taken
             for the sensor, and the other way round; empty where the data tell which is which.
-        memory: correlation of the current's noise at two samples in a row: noise passes a filter
-            that comes behind it.
-        is_digital: whether it is a moving average of the samples, in which every one weighs less
-            than the next by the same factor; else a filter of first order.
-        other_kind: by how much the parameters change where it is of the other kind; empty where the
+        memory: share of the noise before that a reading's noise has, for noise passes a filter
+            that comes behind it; negative where noise comes behind an average, which is undone.
+        filter_kind: what it comes from.
+        other_kind: by how much the parameters change where it is of another kind; empty where the
             data tell which it is.
     """
 
@@ -37,7 +52,7 @@ class CurrentLag(NamedTuple):
     winding_s: float
     other_order: tuple[float, ...] = ()
     memory: float = 0.0
-    is_digital: bool = False
+    filter_kind: FilterKind = FilterKind.FIRST_ORDER
     other_kind: tuple[float, ...] = ()
 
     def state(self) -> dict[str, Any]:
@@ -57,10 +72,20 @@ class CurrentLag(NamedTuple):
             number(plain, 'lag_s', SHORTEST_S, LONGEST_S),
             number(plain, 'winding_s', SHORTEST_S, LONGEST_S),
             tuple(numbers(plain, 'other_order', rule).tolist()),
-            number(plain, 'memory', 0.0, 1.0) if 'memory' in plain else 0.0,
-            flag(plain, 'is_digital') if 'is_digital' in plain else False,
+            number(plain, 'memory', -LONGEST_MEMORY, LONGEST_MEMORY) if 'memory' in plain else 0.0,
+            _saved_kind(plain),
             tuple(numbers(plain, 'other_kind', rule).tolist()) if 'other_kind' in plain else (),
         )  # files of early releases know none of the last three
+
+    @property
+    def is_average(self) -> bool:
+        """Whether it is that of a moving average."""
+        return self.filter_kind is FilterKind.MOVING_AVERAGE
+
+    @property
+    def is_mean(self) -> bool:
+        """Whether it is that of readings which are means of their intervals."""
+        return self.filter_kind is FilterKind.INTERVAL_MEAN
 
     @property
     def is_possible(self) -> bool:
@@ -81,3 +106,15 @@ class CurrentLag(NamedTuple):
     def rivals(self) -> list[tuple[float, ...]]:
         """By how much the parameters change in other explanations that the data leave open."""
         return [shift for shift in (self.other_order, self.other_kind) if shift]
+
+
+def _saved_kind(plain: Mapping[str, Any]) -> FilterKind:
+    """Return the kind of a saved filter; early releases knew those of first order alone.
+
+    Raises:
+        CheckpointError: it is none that there is.
+    """
+    kind = plain.get('filter_kind', FilterKind.FIRST_ORDER)
+    if kind not in [*FilterKind]:
+        raise CheckpointError('current_lag.filter_kind is none of those that there are')
+    return FilterKind(kind)

@@ -26,7 +26,6 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     Unknowns,
 )
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.noise_memory import LONGEST_MEMORY
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
@@ -34,6 +33,7 @@ from gray_box_observer.context_nodes.rotor.window_schedule import WINDOW
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.settings.sensor_lag import LONGEST_MEMORY
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
