@@ -88,6 +88,7 @@ class CurrentTuner:
         self._value: dict[str, float] = {}
         self._is_identified = dict.fromkeys(NEEDED, False)
         self._gains: CurrentGains | None = None
+        self._is_warned = False
         self._log = node.get_logger()
         topic = f'~/{motor}/current_gains'
         self._publisher = node.create_publisher(Float64MultiArray, topic, LATCHED)
@@ -112,8 +113,15 @@ class CurrentTuner:
 
     def _look_for_observer(self) -> None:
         """Trust nothing that nobody stands for: an observer that was killed takes nothing back."""
-        publishers = self._node.count_publishers(self._verdict_topic)
-        if publishers == 0 and any(self._is_identified.values()):
+        if self._node.count_publishers(self._verdict_topic) > 0:
+            return
+        if not self._is_warned:
+            self._is_warned = True
+            self._log.warning(
+                f'nobody publishes {self._verdict_topic} yet: does the observer run, is its motor '
+                f'called {self._motor} (--motor), and has its first sample come?'
+            )
+        if any(self._is_identified.values()):
             self._is_identified = dict.fromkeys(NEEDED, False)
             self._tune()
 

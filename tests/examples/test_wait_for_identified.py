@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
+from rcl_interfaces.msg import Log
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -57,6 +58,15 @@ def test_gains_come_when_the_motor_is_identified_and_go_when_it_is_not(peer, gai
     peer.call(Trigger, '/gray_box_observer/reset')
     peer.wait(lambda: [message for message in gains if not message.data], 'gains taken back')
     peer.wait(lambda: gains[-1].data, 'gains again')
+
+
+@pytest.mark.system
+def test_a_motor_that_nobody_knows_is_named(peer):
+    heard = peer.listen(Log, '/rosout')
+    peer.start(EXAMPLE, '--motor', 'left_wheel')
+    topic = '/gray_box_observer/left_wheel/resistance/identified'
+    words = f'nobody publishes {topic} yet'
+    peer.wait(lambda: [log for log in heard if words in log.msg], 'the warning')
 
 
 @pytest.mark.system
