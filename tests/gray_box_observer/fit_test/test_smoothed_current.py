@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +12,15 @@ from scipy.signal import lfilter
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
+from gray_box_observer.context_nodes.rotor.voltage_noise import VoltageNoise
 from gray_box_observer.fit_test import smoothed_current
+from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
-from gray_box_observer.fit_test.smoothed_current import FAST, smoothing_doubts
+from gray_box_observer.fit_test.smoothed_current import (
+    FAST,
+    SMOOTHEST_IN_NOISE,
+    smoothing_doubts,
+)
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
@@ -63,6 +70,28 @@ def test_of_a_winding_that_lags_longer_its_shape_tells(intervals: float) -> None
     record = Record(steps(SAMPLES, 2), _current(theta))
     free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
     assert smoothing_doubts(ROTOR, free, theta, intervals) == []
+
+
+def test_colour_beside_noise_of_the_voltage_leaves_the_inductance_open_as_a_whole() -> None:
+    theta = _theta(2.0)
+    record = Record(steps(SAMPLES, 2), _current(theta))
+    free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
+    white_a = np.random.default_rng(1).normal(size=SAMPLES)
+    coloured_a = lfilter([0.8], [1.0, -0.6], white_a)
+    noisy = replace(free, residual_a=coloured_a, noise=VoltageNoise(1e-3, 1.0), noise_power_a2=0.1)
+    (doubt,) = smoothing_doubts(ROTOR, noisy, theta, 3.0)
+    assert doubt.exchange is not None
+    assert doubt.exchange.tolist() == [0.1 / 3.0 - 1.0, *[0.0] * (theta.size - 1)]
+    assert smoothing_doubts(ROTOR, noisy, theta, SMOOTHEST_IN_NOISE) == []
+    explained = replace(noisy, noise_power_a2=1.0)  # the winding forgets as slowly
+    assert smoothing_doubts(ROTOR, explained, theta, 3.0) == []
+    assert smoothing_doubts(ROTOR, replace(noisy, residual_a=white_a), theta, 3.0) == []
+    projection = Projection(free.jacobian, coloured_a, free.weight, free.jacobian.shape[1])
+    own = replace(doubt, exchange=None)
+    shifts = [projection.open_shift(one, 1.0, is_white=True)[0] for one in (doubt, own)]
+    size = np.abs(shifts[0] - shifts[1])
+    assert size[0] > 0.1
+    np.testing.assert_array_equal(size[1:], 0.0)
 
 
 def test_the_doubt_stays_where_a_fast_winding_cannot_be_run(

@@ -71,11 +71,14 @@ class Doubt:
             standard deviation.
         least_stds: of what the data tell, from which it counts.
         odds: beforehand, that there is any; None: there is some.
+        exchange: shape (parameter,): change of the logarithms that goes with it and leaves no
+            response; None: none does.
     """
 
     response_a: Array
     least_stds: float = 0.0
     odds: float | None = None
+    exchange: Array | None = None
 
 
 class Projection:
@@ -213,7 +216,10 @@ class Projection:
             return np.empty((0, self._unknowns - 1))
         chance = 1.0 if doubt.odds is None else amount_of_data.chance(1.0, doubt.odds)
         size = math.sqrt(chance) * amount.size
-        return size * self.shift(self.with_weight(doubt.response_a))[None]
+        shift = self.shift(self.with_weight(doubt.response_a))
+        if doubt.exchange is not None:
+            shift = shift + doubt.exchange
+        return size * shift[None]
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""

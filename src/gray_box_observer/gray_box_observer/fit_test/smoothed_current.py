@@ -12,17 +12,26 @@ import math
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
+from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 SMOOTHEST = 1.2
 """Sample intervals in L/R up to which the lag may be a driver's: of more, its shape tells."""
+
+SMOOTHEST_IN_NOISE = 6.0
+"""The same beside noise of the voltage, where the residual has more colour than that explains."""
+
+CHANCE = 1.0
+"""Correlation that it may have by chance, times the root of the samples."""
 
 FAST = 0.1
 """The same of a winding that settles in an interval: its lag is left where the other is a driver's.
@@ -40,18 +49,36 @@ def smoothing_doubts(
         theta: shape (parameter,): these.
         intervals: sample intervals in L/R.
     """
-    is_short = 0.0 < intervals < SMOOTHEST
+    is_coloured = run.noise is not NO_NOISE and _is_coloured(run)
+    is_short = 0.0 < intervals < (SMOOTHEST_IN_NOISE if is_coloured else SMOOTHEST)
     if not (is_short and isinstance(run, RotorFreeRun)) or white_box.load_varies:
         return []
     assert isinstance(white_box, MotorWhiteBox)
     fast_theta = theta.copy()
-    fast_theta[white_box.context_nodes.index('inductance')] *= min(FAST / intervals, 1.0)
+    place = white_box.context_nodes.index('inductance')
+    fast_theta[place] *= min(FAST / intervals, 1.0)
     with np.errstate(all='ignore'):
         fast = free_runs(white_box, fast_theta, run.runs.window, run.runs.starts)
     runs = fast if fast.is_bounded else run.runs  # averaged twice, it differs by more
     memory = math.exp(-1.0 / intervals)
     averages = [_moving_average(path.states[:, State.CURRENT], memory) for path in runs.runs]
-    return [Doubt(run.beyond_memory(np.concatenate(averages) - run.current_a))]
+    response_a = run.beyond_memory(np.concatenate(averages) - run.current_a)
+    if not is_coloured:
+        return [Doubt(response_a)]
+    exchange = np.zeros_like(theta)
+    exchange[place] = fast_theta[place] / theta[place] - 1.0
+    return [Doubt(response_a, exchange=exchange)]
+
+
+def _is_coloured(run: FreeRun) -> bool:
+    """Tell whether the residual remembers more than noise of the voltage makes it do."""
+    residual = run.residual_a
+    most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(residual)))
+    off_a = np.clip(residual, -most_a, most_a)
+    power = max(float(off_a @ off_a), 1e-300)
+    correlation = float(off_a[1:] @ off_a[:-1]) / power
+    of_noise = residual.size * run.noise_power_a2 / power * float(median(run.decay))
+    return correlation > of_noise + CHANCE / math.sqrt(residual.size)
 
 
 def _moving_average(current_a: Array, memory: float) -> Array:
