@@ -22,29 +22,32 @@ QUICK_S = 3.0
 RATES_HZ = (200.0, 500.0)
 SPEED_NOISE = 0.01
 
-FILTERS: dict[str, tuple[bool, float, float, bool]] = {
-    'none': (False, 1.0, 0.0, False),
-    'mean of the interval': (True, 1.0, 0.0, False),
-    'analogue, half an interval': (False, 1.0, 0.5, False),
-    'analogue, 0.6 intervals, of noise too': (False, 1.0, 0.6, True),
-    'analogue, 1.5 intervals, of noise too': (False, 1.0, 1.5, True),
-    'moving average, newest weighs 0.85': (False, 0.85, 0.0, False),
-    'moving average, newest weighs 0.7': (False, 0.7, 0.0, False),
-    'moving average, newest weighs 0.5': (False, 0.5, 0.0, False),
-    'moving average, newest weighs 0.3': (False, 0.3, 0.0, False),
+FILTERS: dict[str, tuple[bool, float, float, bool, float]] = {
+    'none': (False, 1.0, 0.0, False, 0.0),
+    'mean of the interval': (True, 1.0, 0.0, False, 0.0),
+    'analogue, half an interval': (False, 1.0, 0.5, False, 0.0),
+    'analogue, 0.6 intervals, of noise too': (False, 1.0, 0.6, True, 0.0),
+    'analogue, 1.5 intervals, of noise too': (False, 1.0, 1.5, True, 0.0),
+    'moving average, newest weighs 0.85': (False, 0.85, 0.0, False, 0.0),
+    'moving average, newest weighs 0.7': (False, 0.7, 0.0, False, 0.0),
+    'moving average, newest weighs 0.5': (False, 0.5, 0.0, False, 0.0),
+    'moving average, newest weighs 0.3': (False, 0.3, 0.0, False, 0.0),
+    'moving average, newest weighs 0.3, noise behind': (False, 0.3, 0.0, False, 0.005),
 }
-"""Whether readings are means, weight of the newest one, analogue time constant in intervals, and
-whether the noise passes the analogue filter, too."""
+"""Whether readings are means, weight of the newest one, analogue time constant in intervals,
+whether the noise passes the analogue filter, too, and noise behind all, as a share of the spread.
+"""
 
 
 def cases(duration_s: float) -> dict[tuple[str, str], list[DriverCase]]:
     """Return the cases by speed and filter, one for each rate."""
     return {
         (speed_in_words(noise), name): [
-            DriverCase(*settings, rate_hz, noise, duration_s) for rate_hz in RATES_HZ
+            DriverCase(*settings, rate_hz, noise, duration_s, noise_behind=noise_behind)
+            for rate_hz in RATES_HZ
         ]
         for noise in (None, SPEED_NOISE)
-        for name, settings in FILTERS.items()
+        for name, (*settings, noise_behind) in FILTERS.items()
     }
 
 

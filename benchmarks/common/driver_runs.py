@@ -37,6 +37,7 @@ class DriverCase:
         duration_s: of the record.
         late: how long after its stamp the voltage acts, in sample intervals.
         noise: of a reading, as a share of the current's spread.
+        noise_behind: of what is published, as a share of the same: it comes behind all filters.
     """
 
     averages: bool
@@ -48,6 +49,7 @@ class DriverCase:
     duration_s: float
     late: float = 0.0
     noise: float = 0.01
+    noise_behind: float = 0.0
 
 
 def run_driver(case: DriverCase, seed: int) -> MotorTrial:
@@ -78,8 +80,12 @@ def _measured(
     noise = rng.normal(size=current.size)
     if case.filters_noise:
         noise = filtered_noise(noise, math.exp(-1.0 / case.low_pass))
-    current += case.noise * current.std() * noise
-    return moving_average(current, case.weight), np.array([0.0, *speeds[steps - 1 :: steps]])
+    size_a = current.std()
+    current += case.noise * size_a * noise
+    published_a = moving_average(current, case.weight)
+    if case.noise_behind:
+        published_a = published_a + case.noise_behind * size_a * rng.normal(size=current.size)
+    return published_a, np.array([0.0, *speeds[steps - 1 :: steps]])
 
 
 def filtered_noise(white: FloatArray, memory: float) -> FloatArray:
