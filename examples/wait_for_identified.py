@@ -114,6 +114,7 @@ class CurrentTuner:
     def _look_for_observer(self) -> None:
         """Trust nothing that nobody stands for: an observer that was killed takes nothing back."""
         if self._node.count_publishers(self._verdict_topic) > 0:
+            self._is_warned = True  # whoever goes away later is known
             return
         if not self._is_warned:
             self._is_warned = True

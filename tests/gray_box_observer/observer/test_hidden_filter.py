@@ -324,6 +324,13 @@ def test_the_voltage_of_a_mean_brings_a_winding_to_the_same_end(winding_s: float
     together = VoltagePath(NO_ZONE, lag).driven(content)
     assert together[VOLTAGE, 0, 2] == pytest.approx(constant_v)
     assert together[INTERVAL, 0].tolist() == [0.0, 0.0, interval_s]
+    behind_gap = path.follow(sample_of(0.0, 0.0, 8.0), is_kept=True)
+    longer = np.concatenate([content, content[:, :, -1:]], axis=2)
+    longer[INTERVAL, 0, -1] = 0.0
+    longer[VOLTAGE, 0, -1] = 8.0
+    assert (
+        VoltagePath(NO_ZONE, lag).driven(longer)[VOLTAGE, 0, -1] == behind_gap.voltage_v[0] == 8.0
+    )
 
 
 @pytest.mark.parametrize('kind', ['analogue', 'average'])

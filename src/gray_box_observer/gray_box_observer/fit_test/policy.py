@@ -335,9 +335,7 @@ def _driver_doubts(
         (_doubted_amount(error, is_mature=is_mature), error.shift)
         for error in (stamps.delay, stamps.lead)
     ]
-    smoothed_share = _share_below(SMOOTHED, analysis.intervals)
-    if analysis.has_noisy_voltage:  # there are such shifts where they count
-        smoothed_share = 1.0
+    smoothed_share = 1.0 if analysis.has_colour else _share_below(SMOOTHED, analysis.intervals)
     amounts += [(smoothed_share, row) for row in analysis.smoothing_shifts]
     of_inductance = np.zeros_like(stamps.delay.shift)
     of_inductance[INDUCTANCE] = stamps.delay.shift[INDUCTANCE]

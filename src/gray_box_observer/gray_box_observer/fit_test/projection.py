@@ -71,8 +71,8 @@ class Doubt:
             standard deviation.
         least_stds: of what the data tell, from which it counts.
         odds: beforehand, that there is any; None: there is some.
-        exchange: shape (parameter,): change of the logarithms that goes with it and leaves no
-            response; None: none does.
+        exchange: shape (parameter,): by how much the parameters are too large with it, relative to
+            them, without any response; None: they are not.
     """
 
     response_a: Array

@@ -54,7 +54,7 @@ from gray_box_observer.fit_test.projection import (
     long_run_covariance,
 )
 from gray_box_observer.fit_test.rounding import rounding_errors
-from gray_box_observer.fit_test.smoothed_current import smoothing_doubts
+from gray_box_observer.fit_test.smoothed_current import shows_colour, smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
     StampErrors,
@@ -143,6 +143,7 @@ class ResidualAnalysis:
             that comes late, a lag that is not quite as found, and a rotor that may turn.
         smoothing_shifts: likewise, where the lag of the winding may be a driver's.
         has_noisy_voltage: whether a rotor's current leaves a part of the voltage unanswered.
+        has_colour: whether, beside such noise, the residual remembers more than that makes it.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -163,6 +164,7 @@ class ResidualAnalysis:
     persistence: float
     has_noisy_voltage: bool
     evidence: Evidence
+    has_colour: bool = False
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
@@ -336,6 +338,7 @@ def analysis_in_pieces(
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
         has_noisy_voltage=white_box.has_rotor and shows_noise(variances[BY_NEIGHBOURS]),
         evidence=evidence,
+        has_colour=white_box.has_rotor and shows_colour(run),
     )
 
 

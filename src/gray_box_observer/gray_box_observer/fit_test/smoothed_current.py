@@ -30,12 +30,12 @@ SMOOTHEST = 1.2
 SMOOTHEST_IN_NOISE = 6.0
 """The same beside noise of the voltage, where the residual has more colour than that explains."""
 
-CHANCE = 1.0
-"""Correlation that it may have by chance, times the root of the samples."""
-
 FAST = 0.1
 """The same of a winding that settles in an interval: its lag is left where the other is a driver's.
 """
+
+LEAST_COLOUR = 1.0
+"""Correlation by which a residual has more colour, times the root of the samples."""
 
 
 def smoothing_doubts(
@@ -49,7 +49,7 @@ def smoothing_doubts(
         theta: shape (parameter,): these.
         intervals: sample intervals in L/R.
     """
-    is_coloured = run.noise is not NO_NOISE and _is_coloured(run)
+    is_coloured = shows_colour(run)
     is_short = 0.0 < intervals < (SMOOTHEST_IN_NOISE if is_coloured else SMOOTHEST)
     if not (is_short and isinstance(run, RotorFreeRun)) or white_box.load_varies:
         return []
@@ -66,19 +66,21 @@ def smoothing_doubts(
     if not is_coloured:
         return [Doubt(response_a)]
     exchange = np.zeros_like(theta)
-    exchange[place] = fast_theta[place] / theta[place] - 1.0
+    exchange[place] = 1.0 - fast_theta[place] / theta[place]
     return [Doubt(response_a, exchange=exchange)]
 
 
-def _is_coloured(run: FreeRun) -> bool:
-    """Tell whether the residual remembers more than noise of the voltage makes it do."""
+def shows_colour(run: FreeRun) -> bool:
+    """Tell whether, beside noise of the voltage, the residual remembers more than that makes it."""
+    if run.noise is NO_NOISE:
+        return False
     residual = run.residual_a
     most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(residual)))
     off_a = np.clip(residual, -most_a, most_a)
     power = max(float(off_a @ off_a), 1e-300)
     correlation = float(off_a[1:] @ off_a[:-1]) / power
     of_noise = residual.size * run.noise_power_a2 / power * float(median(run.decay))
-    return correlation > of_noise + CHANCE / math.sqrt(residual.size)
+    return correlation > of_noise + LEAST_COLOUR / math.sqrt(residual.size)
 
 
 def _moving_average(current_a: Array, memory: float) -> Array:

@@ -25,7 +25,12 @@ from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
-from gray_box_observer.settings.sensor_lag import LARGEST_CHANGE, CurrentLag, FilterKind
+from gray_box_observer.settings.sensor_lag import (
+    LARGEST_CHANGE,
+    LONGEST_MEMORY,
+    CurrentLag,
+    FilterKind,
+)
 from gray_box_observer.white_box.interface import Array
 
 MOST_ZONES, MOST_LAGS = 4, 6
@@ -98,8 +103,7 @@ class FormFit:
     def settle_s(self) -> float:
         """Time in s behind the start of a signal history that tells nothing."""
         lag = self.kind.lag
-        is_late = lag is not None and not (lag.is_average or lag.is_mean)
-        return SETTLED * lag.lag_s if lag is not None and is_late else 0.0
+        return SETTLED * lag.lag_s if lag is not None and lag.settles else 0.0
 
     @property
     def is_misfit(self) -> bool:
@@ -229,13 +233,16 @@ class FormFitter:
             newest_step_s = step_s
             longest_s = LONGEST_STEP * lag_s or FIRST_LAG * usual_s
             next_s = min(max(lag_s + step_s, lag_s / LONGEST_STEP), longest_s, limit_s)
-            if before is not None and before.is_mean:
+            if before is not None and before.is_mean:  # it has none to be found
                 next_s = lag_s
             filter_kind = FilterKind.FIRST_ORDER if before is None else before.filter_kind
             is_steady = abs(step.step_s) <= STEADY * lag_s
             memory = step.memory if is_steady else (0.0 if before is None else before.memory)
             lag = CurrentLag(next_s, winding_s, (), memory, filter_kind)
             if not lag.is_possible or (before is not None and _is_near(lag, before, step.std_s)):
+                if before is not None and before.is_average:  # no voltage is made with its L/R
+                    lag = before._replace(winding_s=winding_s)
+                    fit = replace(fit, kind=replace(fit.kind, lag=lag))
                 break
             fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
         return fit
@@ -249,26 +256,29 @@ class FormFitter:
         means have white noise.
 
         Args:
-            fit: of the form with a lag of first order, or with none.
+            fit: of the form, with a lag that was settled, or with none.
             content: shape (signal, 1, n): the samples.
         """
         lag = fit.kind.lag
         if lag is None or fit.kind.source != ROTOR:
             return fit
         correlation = yield from self._correlation(fit, content)
-        if correlation:
+        if correlation and not lag.is_average:
             slower = lag if lag.lag_s > lag.winding_s else lag.turned
-            other = yield from self._of_kind(fit, slower, FilterKind.MOVING_AVERAGE, content)
-            if _evidence(fit, other, content) < 0.0:
+            pieces = self._of_kind(fit, slower, FilterKind.MOVING_AVERAGE, content)
+            other = yield from bounded(pieces, MOST_KIND_WORK)
+            if other is not None and _evidence(fit, other, content) < 0.0:
                 return other
-        if fit.is_misfit and _may_be_mean(lag, content):
-            other = yield from self._of_kind(fit, lag, FilterKind.INTERVAL_MEAN, content)
-            if _evidence(fit, other, content) < 0.0:
+        if fit.is_misfit and not lag.is_mean and _may_be_mean(lag, content):
+            pieces = self._of_kind(fit, lag, FilterKind.INTERVAL_MEAN, content)
+            other = yield from bounded(pieces, MOST_KIND_WORK)
+            if other is not None and _evidence(fit, other, content) < 0.0:
                 return other
-        if correlation <= lag.memory + SAME_MEMORY:  # it is what the filter leaves
+        if correlation <= max(lag.memory, 0.0) + SAME_MEMORY:  # it is what the filter leaves
             return fit
-        other = yield from self._of_kind(fit, lag.turned, FilterKind.FIRST_ORDER, content)
-        return other if _evidence(fit, other, content) < 0.0 else fit
+        pieces = self._of_kind(fit, lag.turned, FilterKind.FIRST_ORDER, content)
+        other = yield from bounded(pieces, MOST_KIND_WORK)
+        return other if other is not None and _evidence(fit, other, content) < 0.0 else fit
 
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
         """Ask whether a delay of the voltage explains the samples as well as a lag does.
@@ -351,7 +361,11 @@ class FormFitter:
         other = yield from bounded(pieces, MOST_KIND_WORK)
         changes = [UNASKED] * len(fit.estimate.parameters)
         if other is None:  # a misfit where it was asked for, which costs most
-            if min((_evidence(fit, one, content) for one in fits), default=0.0) > SURELY_APART:
+            is_apart = bool(fits)
+            for one in fits:
+                is_apart = is_apart and _evidence(fit, one, content) > SURELY_APART
+                yield WORK_A_SAMPLE * content.shape[2]
+            if is_apart:
                 return fit
         else:
             evidence = _evidence(fit, other, content)
@@ -395,7 +409,7 @@ class FormFitter:
         usual_s = _usual_interval(content)
         lag_s = 0.5 * usual_s if filter_kind is FilterKind.INTERVAL_MEAN else lag.lag_s
         was_average = lag.is_average and filter_kind is FilterKind.FIRST_ORDER
-        memory = math.exp(-usual_s / lag_s) if was_average else 0.0
+        memory = min(math.exp(-usual_s / lag_s), LONGEST_MEMORY) if was_average else 0.0
         start = CurrentLag(lag_s, lag.winding_s, (), memory, filter_kind)
         other = yield from self.again(replace(fit.kind, lag=start), fit, content)
         other = yield from self._with_settled_lag(other, content, fits)

@@ -42,7 +42,7 @@ SETTLED = 12.0
 NEGLIGIBLE = 1e-9
 
 SHORTEST = 1e-4
-"""Time constants of the winding that an interval lasts at least, of whose mean a share is made."""
+"""Shortest interval, in time constants of the winding, of whose mean a share is worked out."""
 
 
 class VoltagePath:
@@ -236,7 +236,7 @@ class VoltagePath:
         remainder = np.where(begins, 0.0, _remainder(interval_s, lag))
         inputs = (1.0 - remainder) * voltage_v
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
-        share = _share(interval_s, lag)
+        share = np.where(begins, 0.0, _share(interval_s, lag))
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
         settled_s = interval_s if lag.is_mean else SETTLED * lag.lag_s
         content[INTERVAL] = np.where(since_s > settled_s, interval_s, 0.0)

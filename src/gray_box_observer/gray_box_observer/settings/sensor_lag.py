@@ -83,6 +83,11 @@ class CurrentLag(NamedTuple):
         return self.filter_kind is FilterKind.MOVING_AVERAGE
 
     @property
+    def settles(self) -> bool:
+        """Whether it leans on all that has been since a signal history began."""
+        return self.filter_kind is FilterKind.FIRST_ORDER
+
+    @property
     def is_mean(self) -> bool:
         """Whether it is that of readings which are means of their intervals."""
         return self.filter_kind is FilterKind.INTERVAL_MEAN

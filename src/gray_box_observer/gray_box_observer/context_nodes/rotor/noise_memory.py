@@ -1,7 +1,8 @@
-"""Noise of a current beside a filter: every reading remembers that of the one before.
+"""Noise of a current beside a filter: that of a reading goes with that of the one before.
 
-Noise that has passed the filter remembers a share of what it was. Noise that comes behind a moving
-average, which is undone, has its opposite in the next value. What is new at every sample is white.
+Noise that has passed the filter remembers a share of what it was. Of noise that comes behind a
+moving average, which is undone, the next value has a share with the opposite sign. What is new at
+every sample is white.
 A residual, its derivatives and all that it is compared with are taken without what they remember
 (generalised least squares; Aitken 1936).
 """
