@@ -98,16 +98,16 @@ def _kept_share(run: FreeRun, lag_s: float) -> float:
 def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
     """Differentiate the current of a run by the lag, shape (k + 1,), in A/s."""
     lag_s = 0.0 if lag is None else lag.lag_s
-    interval_s = run.stretch.interval_s[0]
     is_whole = run.is_whole
     if not is_whole.any():
         return np.zeros_like(run.current_a)
+    if lag is not None and lag.is_average:
+        return run.beyond_memory(_by_average(run, lag_s))
+    interval_s = run.stretch.interval_s[0]
     least_s = LEAST * float(median(interval_s[interval_s > 0.0]))
     slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope
-    if lag is not None and lag.is_average:
-        return run.beyond_memory(_by_average(run, lag_s))
     by_lag: Array = -recurrence(remainder[None], inputs[None, None], np.zeros((1, 1)))[0, 0]
     return run.beyond_memory(by_lag)
 

@@ -12,14 +12,14 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
+from gray_box_observer.context_nodes.rotor.noise_memory import autocovariance
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
-from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -74,13 +74,12 @@ def shows_colour(run: FreeRun) -> bool:
     """Tell whether, beside noise of the voltage, the residual remembers more than that makes it."""
     if run.noise is NO_NOISE:
         return False
-    residual = run.residual_a
-    most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(residual)))
-    off_a = np.clip(residual, -most_a, most_a)
-    power = max(float(off_a @ off_a), 1e-300)
-    correlation = float(off_a[1:] @ off_a[:-1]) / power
-    of_noise = residual.size * run.noise_power_a2 / power * float(median(run.decay))
-    return correlation > of_noise + LEAST_COLOUR / math.sqrt(residual.size)
+    product_a2, own_a2 = autocovariance(run.residual_a)
+    power_a2 = max(own_a2, 1e-300)
+    correlation = product_a2 / power_a2
+    count = run.residual_a.size
+    of_noise = count * run.noise_power_a2 / power_a2 * float(median(run.decay))
+    return correlation > of_noise + LEAST_COLOUR / math.sqrt(count)
 
 
 def _moving_average(current_a: Array, memory: float) -> Array:

@@ -56,6 +56,17 @@ def without_memory(signal: Array, memory: float, begins: NDArray[np.bool_] | Non
     return np.asarray(np.ascontiguousarray(new.T).reshape(signal.shape))
 
 
+def autocovariance(residual_a: Array) -> tuple[float, float]:
+    """Return the sums of products one sample apart and of squares, in A^2, outliers clipped.
+
+    Args:
+        residual_a: shape (k + 1,): measured less predicted current.
+    """
+    most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(residual_a)))
+    off_a = np.clip(residual_a, -most_a, most_a)
+    return float(off_a[1:] @ off_a[:-1]), float(off_a @ off_a)
+
+
 def memory_of(
     residuals_a: Sequence[Array], longest: float = LONGEST_MEMORY, *, is_undone: bool = False
 ) -> float:
@@ -72,10 +83,9 @@ def memory_of(
     power = 0.0
     count = 0
     for residual_a in residuals_a:
-        most_a = OUTLIER * MAD_TO_STD * float(median(np.abs(residual_a)))
-        off_a = np.clip(residual_a, -most_a, most_a)
-        product += float(off_a[1:] @ off_a[:-1])
-        power += float(off_a @ off_a)
+        lagged_a2, own_a2 = autocovariance(residual_a)
+        product += lagged_a2
+        power += own_a2
         count += residual_a.size
     correlation = product / max(power, 1e-300)
     chance = CHANCE / np.sqrt(max(count, 1))
