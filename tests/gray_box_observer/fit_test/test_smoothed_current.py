@@ -14,11 +14,13 @@ from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.voltage_noise import VoltageNoise
 from gray_box_observer.fit_test import smoothed_current
-from gray_box_observer.fit_test.projection import Projection
+from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.projection import Doubt, Projection
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.smoothed_current import (
     FAST,
     SMOOTHEST_IN_NOISE,
+    shows_colour,
     smoothing_doubts,
 )
 from gray_box_observer.white_box import MotorWhiteBox
@@ -50,13 +52,20 @@ def _current(theta: Floats) -> Floats:
     return current_a
 
 
+def _doubts(
+    white_box: MotorWhiteBox, free: FreeRun, theta: Floats, intervals: float
+) -> list[Doubt]:
+    has_colour = shows_colour(free)
+    return smoothing_doubts(white_box, free, theta, intervals, has_colour=has_colour)
+
+
 def test_the_doubt_is_the_reading_of_a_fast_winding_behind_the_average() -> None:
     theta = _theta(INTERVALS)
     current_a = _current(theta)
     free = rotor_free_run(
         ROTOR, to_coordinates(theta[None]), Record(steps(SAMPLES, 2), current_a).stretch
     )
-    (doubt,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    (doubt,) = _doubts(ROTOR, free, theta, INTERVALS)
     fast = _current(_theta(FAST))
     read_a = lfilter([1.0 - KEPT], [1.0, -KEPT], fast)
     expected_a = read_a - current_a
@@ -69,7 +78,7 @@ def test_of_a_winding_that_lags_longer_its_shape_tells(intervals: float) -> None
     theta = _theta(2.0)
     record = Record(steps(SAMPLES, 2), _current(theta))
     free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
-    assert smoothing_doubts(ROTOR, free, theta, intervals) == []
+    assert _doubts(ROTOR, free, theta, intervals) == []
 
 
 def test_colour_beside_noise_of_the_voltage_leaves_the_inductance_open_as_a_whole() -> None:
@@ -79,13 +88,13 @@ def test_colour_beside_noise_of_the_voltage_leaves_the_inductance_open_as_a_whol
     white_a = np.random.default_rng(1).normal(size=SAMPLES)
     coloured_a = lfilter([0.8], [1.0, -0.6], white_a)
     noisy = replace(free, residual_a=coloured_a, noise=VoltageNoise(1e-3, 1.0), noise_power_a2=0.1)
-    (doubt,) = smoothing_doubts(ROTOR, noisy, theta, 3.0)
+    (doubt,) = _doubts(ROTOR, noisy, theta, 3.0)
     assert doubt.exchange is not None
     assert doubt.exchange.tolist() == [1.0 - 0.1 / 3.0, *[0.0] * (theta.size - 1)]
-    assert smoothing_doubts(ROTOR, noisy, theta, SMOOTHEST_IN_NOISE) == []
+    assert _doubts(ROTOR, noisy, theta, SMOOTHEST_IN_NOISE) == []
     explained = replace(noisy, noise_power_a2=1.0)  # the winding forgets as slowly
-    assert smoothing_doubts(ROTOR, explained, theta, 3.0) == []
-    assert smoothing_doubts(ROTOR, replace(noisy, residual_a=white_a), theta, 3.0) == []
+    assert _doubts(ROTOR, explained, theta, 3.0) == []
+    assert _doubts(ROTOR, replace(noisy, residual_a=white_a), theta, 3.0) == []
     projection = Projection(free.jacobian, coloured_a, free.weight, free.jacobian.shape[1])
     own = replace(doubt, exchange=None)
     shifts = [projection.open_shift(one, 1.0, is_white=True)[0] for one in (doubt, own)]
@@ -101,9 +110,9 @@ def test_the_doubt_stays_where_a_fast_winding_cannot_be_run(
     theta = _theta(INTERVALS)
     record = Record(steps(SAMPLES, 2), _current(theta))
     free = rotor_free_run(ROTOR, to_coordinates(theta[None]), record.stretch)
-    (doubt,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    (doubt,) = _doubts(ROTOR, free, theta, INTERVALS)
     monkeypatch.setattr(smoothed_current, 'free_runs', _given_up)
-    (other,) = smoothing_doubts(ROTOR, free, theta, INTERVALS)
+    (other,) = _doubts(ROTOR, free, theta, INTERVALS)
     assert np.std(other.response_a) > np.std(doubt.response_a)
 
 
@@ -119,7 +128,7 @@ def test_a_motor_with_hysteresis_is_doubted_as_one_without() -> None:
     free = rotor_free_run(
         box, to_coordinates(theta[None]), Record(steps(SAMPLES, 2), current_a).stretch
     )
-    (doubt,) = smoothing_doubts(box, free, theta, INTERVALS)
+    (doubt,) = _doubts(box, free, theta, INTERVALS)
     fast = _current(_theta(FAST))
     read_a = lfilter([1.0 - KEPT], [1.0, -KEPT], fast)
     assert np.std(doubt.response_a - (read_a - current_a)) < 0.1 * np.std(read_a - current_a)

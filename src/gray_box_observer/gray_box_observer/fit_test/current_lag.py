@@ -19,7 +19,7 @@ from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
 from gray_box_observer.fit_test.stamp_errors import STAMP_STD
-from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median, usual_interval
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
@@ -89,10 +89,7 @@ def lag_step(
 
 def _kept_share(run: FreeRun, lag_s: float) -> float:
     """Return what a filter leaves of a reading after the usual interval; 0: nothing."""
-    interval_s = run.stretch.interval_s[run.stretch.interval_s > 0.0]
-    if not (lag_s > 0.0 and interval_s.size):
-        return 0.0
-    return math.exp(-float(median(interval_s)) / lag_s)
+    return math.exp(-usual_interval(run.stretch.interval_s) / lag_s) if lag_s > 0.0 else 0.0
 
 
 def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
@@ -104,7 +101,7 @@ def _by_lag(run: FreeRun, lag: CurrentLag | None) -> Array:
     if lag is not None and lag.is_average:
         return run.beyond_memory(_by_average(run, lag_s))
     interval_s = run.stretch.interval_s[0]
-    least_s = LEAST * float(median(interval_s[interval_s > 0.0]))
+    least_s = LEAST * usual_interval(interval_s)
     slope = np.where(is_whole, np.diff(run.current_a) / np.where(is_whole, interval_s, 1.0), 0.0)
     remainder = np.where(is_whole, np.exp(-interval_s / max(lag_s, least_s)), 0.0)
     inputs = (1.0 - remainder) * slope

@@ -90,7 +90,7 @@ def fitted_residual_in_pieces(
         stretch: the newest samples, with a motor axis of one.
         is_drifting: whether what heats is known to drift, which is no misfit then.
         knows_voltage_noise: whether the fit has taken off what noise of the voltage does.
-        noise_memory: of a rotor's current: correlation of its noise at two samples in a row.
+        noise_memory: of a rotor's current.
     """
     work = stretch.state.size
     if white_box.has_rotor:

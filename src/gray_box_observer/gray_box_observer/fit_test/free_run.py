@@ -73,8 +73,8 @@ class FreeRun:
         further: shape (k + 1,) each: derivatives by whatever else is free.
         noise: of the voltage, which the current does not answer, where the values know of it.
         noise_power_a2: mean square of what that adds to the residual.
-        noise_memory: correlation of the current's noise at two samples in a row. Residual and
-            derivatives are without what it remembers, and so is what answers.
+        noise_memory: of the current. Residual and derivatives are without what its noise remembers,
+            and so is what answers.
     """
 
     stretch: SampleWindow

@@ -45,7 +45,7 @@ from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -202,8 +202,7 @@ def _innovation(run: FreeRun) -> Array:
 def _is_plain(run: FreeRun) -> NDArray[np.bool_]:
     """Tell which intervals are whole, and none of merged samples, shape (k,)."""
     interval_s = run.stretch.interval_s[0]
-    usual_s = median(interval_s[interval_s > 0.0]) if (interval_s > 0.0).any() else 0.0
-    is_plain: NDArray[np.bool_] = run.is_whole & (interval_s < MERGED * usual_s)
+    is_plain: NDArray[np.bool_] = run.is_whole & (interval_s < MERGED * usual_interval(interval_s))
     return is_plain
 
 

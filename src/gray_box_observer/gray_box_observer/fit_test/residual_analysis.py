@@ -65,7 +65,7 @@ from gray_box_observer.fit_test.stamp_errors import (
 )
 from gray_box_observer.fit_test.twin_effects import swap_shifts
 from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
-from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
+from gray_box_observer.samples.order_statistics import MAD_TO_STD, median, usual_interval
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.flow import to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -313,9 +313,10 @@ def analysis_in_pieces(
         ),
     ]
     yield work
+    has_colour = white_box.has_rotor and shows_colour(run)
     smoothing_shifts = [
         projection.open_shift(doubt, noise_a, is_white=is_white)
-        for doubt in smoothing_doubts(white_box, run, theta, intervals)
+        for doubt in smoothing_doubts(white_box, run, theta, intervals, has_colour=has_colour)
     ]
     yield work
     scores = yield from _scores(
@@ -338,7 +339,7 @@ def analysis_in_pieces(
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
         has_noisy_voltage=white_box.has_rotor and shows_noise(variances[BY_NEIGHBOURS]),
         evidence=evidence,
-        has_colour=white_box.has_rotor and shows_colour(run),
+        has_colour=has_colour,
     )
 
 
@@ -373,16 +374,10 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
 
 def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
     names = [parameter.name for parameter in white_box.parameters]
-    interval_s = _usual_interval(stretch)
-    if 'resistance' not in names or math.isnan(interval_s):
+    interval_s = usual_interval(stretch.interval_s)
+    if 'resistance' not in names or interval_s == math.inf:
         return math.inf
     return 1.0 / (float(p[0, names.index('resistance')]) * interval_s)
-
-
-def _usual_interval(stretch: SampleWindow) -> float:
-    """Return the median sample interval in s; NaN where there is none."""
-    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
-    return float(median(interval_s)) if interval_s.size else math.nan
 
 
 def _mechanical_intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
@@ -393,7 +388,7 @@ def _mechanical_intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) 
     values = white_box.values(to_parameters(p)[0])
     stiffness = values['back_emf_constant'] * float(white_box.torque_constant)
     time_s = values['resistance'] * values['inertia'] / stiffness
-    return time_s / _usual_interval(stretch)
+    return time_s / usual_interval(stretch.interval_s)
 
 
 def _persistence(residual: Array, intervals: float) -> float:

@@ -134,7 +134,7 @@ def rotor_free_run_in_pieces(
         p: shape (1, coordinate): its parameters, as :func:`~.white_box.flow.to_coordinates` has
             them.
         stretch: the samples, with a motor axis of one.
-        noise_memory: correlation of the current's noise at two samples in a row.
+        noise_memory: of the current (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`).
     """
     assert isinstance(white_box, MotorWhiteBox)
     theta = to_parameters(p)[0]

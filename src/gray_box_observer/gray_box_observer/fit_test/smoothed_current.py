@@ -39,7 +39,7 @@ LEAST_COLOUR = 1.0
 
 
 def smoothing_doubts(
-    white_box: WhiteBox, run: FreeRun, theta: Array, intervals: float
+    white_box: WhiteBox, run: FreeRun, theta: Array, intervals: float, *, has_colour: bool
 ) -> list[Doubt]:
     """Return that the lag of a hidden rotor's current may be a driver's.
 
@@ -48,9 +48,10 @@ def smoothing_doubts(
         run: its free run at the present values.
         theta: shape (parameter,): these.
         intervals: sample intervals in L/R.
+        has_colour: whether its residual has more colour than noise of the voltage makes
+            (:func:`shows_colour`).
     """
-    is_coloured = shows_colour(run)
-    is_short = 0.0 < intervals < (SMOOTHEST_IN_NOISE if is_coloured else SMOOTHEST)
+    is_short = 0.0 < intervals < (SMOOTHEST_IN_NOISE if has_colour else SMOOTHEST)
     if not (is_short and isinstance(run, RotorFreeRun)) or white_box.load_varies:
         return []
     assert isinstance(white_box, MotorWhiteBox)
@@ -63,7 +64,7 @@ def smoothing_doubts(
     memory = math.exp(-1.0 / intervals)
     averages = [_moving_average(path.states[:, State.CURRENT], memory) for path in runs.runs]
     response_a = run.beyond_memory(np.concatenate(averages) - run.current_a)
-    if not is_coloured:
+    if not has_colour:
         return [Doubt(response_a)]
     exchange = np.zeros_like(theta)
     exchange[place] = 1.0 - fast_theta[place] / theta[place]

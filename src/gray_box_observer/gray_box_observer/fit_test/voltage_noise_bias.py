@@ -16,7 +16,7 @@ from gray_box_observer.context_nodes.rotor.noise_filter import DRAWS, SEED
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Projection
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -59,7 +59,7 @@ class VoltageNoiseBias:
         of_residual, _ = run.noise.products(white_box, np.log(theta), interval_s)
         scores = np.concatenate([[0.0], swapped_logarithms(of_residual[None])[0]])
         scores *= run.residual_a.size
-        usual_s = float(median(interval_s[interval_s > 0.0]))
+        usual_s = usual_interval(interval_s)
         rng = np.random.default_rng(SEED)
         is_whole = run.is_whole
         stds_v = np.where(is_whole, run.noise.stds_v(interval_s, usual_s), 0.0)

@@ -64,7 +64,7 @@ from gray_box_observer.fit_test.suspects import (
     with_delay,
 )
 from gray_box_observer.fit_test.twin_effects import OFFSET
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.settings.motor_configuration import (
@@ -252,8 +252,8 @@ class WindowTest:
         is_stated = self.configuration.values['speed_source'] == 'measured'
         if white_box.speed_measured and not is_stated and stands_still(white_box, theta, content):
             judgement = with_shifts(judgement, np.ones(theta.shape[1]))  # it may be no speed at all
-        if lag is not None and (samples[INTERVAL] > 0.0).any():
-            interval_s = float(median(samples[INTERVAL, samples[INTERVAL] > 0.0]))
+        interval_s = usual_interval(samples[INTERVAL])
+        if lag is not None and interval_s < math.inf:
             stamps_exact = bool(self.configuration.values['stamps_exact'])
             shifts = lag_shifts(white_box, theta[0], lag, interval_s, stamps_exact=stamps_exact)
             judgement = with_shifts(judgement, shifts)

@@ -345,7 +345,7 @@ class FormChoice:
 
     @property
     def _has_open_lag(self) -> bool:
-        """Whether a lag was found of which it is open whether it is the winding's."""
+        """Whether a lag was found of which order or kind is open."""
         return self.kind.lag is not None and bool(self.kind.lag.rivals)
 
     def _candidates(

@@ -22,7 +22,7 @@ from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import ROTOR, WORK_A_SAMPLE, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
 from gray_box_observer.settings.sensor_lag import (
@@ -210,7 +210,7 @@ class FormFitter:
         interval_s = content[INTERVAL, 0]
         if not (interval_s > 0.0).any():
             return fit
-        usual_s = _usual_interval(content)
+        usual_s = usual_interval(content[INTERVAL])
         limit_s = LARGEST_SHARE * float(interval_s.sum()) / SETTLED
         newest_step_s = 0.0
         for _ in range(MOST_LAGS):
@@ -265,20 +265,32 @@ class FormFitter:
         correlation = yield from self._correlation(fit, content)
         if correlation and not lag.is_average:
             slower = lag if lag.lag_s > lag.winding_s else lag.turned
-            pieces = self._of_kind(fit, slower, FilterKind.MOVING_AVERAGE, content)
-            other = yield from bounded(pieces, MOST_KIND_WORK)
-            if other is not None and _evidence(fit, other, content) < 0.0:
+            other = yield from self._if_likelier(fit, slower, FilterKind.MOVING_AVERAGE, content)
+            if other is not None:
                 return other
         if fit.is_misfit and not lag.is_mean and _may_be_mean(lag, content):
-            pieces = self._of_kind(fit, lag, FilterKind.INTERVAL_MEAN, content)
-            other = yield from bounded(pieces, MOST_KIND_WORK)
-            if other is not None and _evidence(fit, other, content) < 0.0:
+            other = yield from self._if_likelier(fit, lag, FilterKind.INTERVAL_MEAN, content)
+            if other is not None:
                 return other
         if correlation <= max(lag.memory, 0.0) + SAME_MEMORY:  # it is what the filter leaves
             return fit
-        pieces = self._of_kind(fit, lag.turned, FilterKind.FIRST_ORDER, content)
-        other = yield from bounded(pieces, MOST_KIND_WORK)
-        return other if other is not None and _evidence(fit, other, content) < 0.0 else fit
+        other = yield from self._if_likelier(fit, lag.turned, FilterKind.FIRST_ORDER, content)
+        return other or fit
+
+    def _if_likelier(
+        self, fit: FormFit, lag: CurrentLag, filter_kind: FilterKind, content: Array
+    ) -> Pieces[FormFit | None]:
+        """Fit a form with a filter of a kind, within bounds of work; None where it is no likelier.
+
+        Args:
+            fit: of the form with another filter.
+            lag: where the search begins.
+            filter_kind: what it is to come from.
+            content: shape (signal, 1, n): the samples.
+        """
+        other = yield from bounded(self._of_kind(fit, lag, filter_kind, content), MOST_KIND_WORK)
+        is_likelier = other is not None and _evidence(fit, other, content) < 0.0
+        return other if is_likelier else None
 
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
         """Ask whether a delay of the voltage explains the samples as well as a lag does.
@@ -406,7 +418,7 @@ class FormFitter:
             content: shape (signal, 1, n): the samples.
             fits: takes every fit on the way; None: nobody asks for them.
         """
-        usual_s = _usual_interval(content)
+        usual_s = usual_interval(content[INTERVAL])
         lag_s = 0.5 * usual_s if filter_kind is FilterKind.INTERVAL_MEAN else lag.lag_s
         was_average = lag.is_average and filter_kind is FilterKind.FIRST_ORDER
         memory = min(math.exp(-usual_s / lag_s), LONGEST_MEMORY) if was_average else 0.0
@@ -439,16 +451,10 @@ def _dead_zone(estimate: Estimate, content: Array) -> float:
     return min(float(estimate.value[0, place]), largest_v)
 
 
-def _usual_interval(content: Array) -> float:
-    """Return the median sample interval of samples, shape (signal, 1, n), in s."""
-    interval_s = content[INTERVAL, 0]
-    return float(median(interval_s[interval_s > 0.0]))
-
-
 def _may_be_mean(lag: CurrentLag, content: Array) -> bool:
     """Tell whether a lag may be that of readings which are means of their intervals."""
     low, high = MEAN_LAGS
-    return low < lag.lag_s / _usual_interval(content) < high
+    return low < lag.lag_s / usual_interval(content[INTERVAL]) < high
 
 
 def _changes(fit: FormFit, other: FormFit) -> list[float]:

@@ -27,7 +27,7 @@ from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, O
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, without_lone
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
@@ -253,19 +253,13 @@ class MotorForm:
             return math.inf
         left_a = residual_a(self.white_box, self.context_nodes, part)
         if path is not None:  # what is new in a reading
-            left_a *= path.newest_share(_usual_interval(content))
+            left_a *= path.newest_share(usual_interval(content[INTERVAL]))
         count = part.shape[2] + open_a.size
         return math.sqrt((part.shape[2] * left_a**2 + float(open_a @ open_a)) / count)
 
     def driven(self, content: Array) -> Array:
         """Return samples, shape (signal, 1, n), with the voltages that the white box takes."""
         return content if self.voltage_path is None else self.voltage_path.driven(content)
-
-
-def _usual_interval(content: Array) -> float:
-    """Return the median sample interval in s of samples, (signal, 1, n); endless without any."""
-    interval_s = content[INTERVAL, content[INTERVAL] > 0.0]
-    return float(median(interval_s)) if interval_s.size else math.inf
 
 
 def _sample(column: Array, stamp_ns: int) -> Sample:

@@ -21,7 +21,7 @@ from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
-from gray_box_observer.samples.order_statistics import median
+from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -151,11 +151,10 @@ class MotorView:
         if isinstance(nodes, MeasuredSpeedUpdate):
             return nodes.smoothing_weight
         lag = self.observer.form_choice.kind.lag
-        interval_s = self.newest(MOST_JUDGED)[INTERVAL]
-        interval_s = interval_s[interval_s > 0.0]
-        if lag is None or not lag.is_average or lag.other_kind or not interval_s.size:
+        if lag is None or not lag.is_average or lag.other_kind:
             return 0.0
-        return -math.expm1(-float(median(interval_s)) / lag.lag_s)
+        interval_s = usual_interval(self.newest(MOST_JUDGED)[INTERVAL])
+        return -math.expm1(-interval_s / lag.lag_s) if interval_s < math.inf else 0.0
 
     @property
     def _lag_beside_speed_s(self) -> float:

@@ -84,7 +84,7 @@ class VoltagePath:
     @property
     def _needs_one_before(self) -> bool:
         """Whether a sample leans on the one before, and on no other."""
-        return self._average is not None or (self._lag is not None and self._lag.is_mean)
+        return self._average is not None or (self._lag is not None and not self._lag.settles)
 
     def newest_share(self, interval_s: float) -> float:
         """Return the weight of the newest value in a reading after an interval in s."""
@@ -238,7 +238,7 @@ class VoltagePath:
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
         share = np.where(begins, 0.0, _share(interval_s, lag))
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
-        settled_s = interval_s if lag.is_mean else SETTLED * lag.lag_s
+        settled_s = SETTLED * lag.lag_s if lag.settles else interval_s
         content[INTERVAL] = np.where(since_s > settled_s, interval_s, 0.0)
         return content, lagging_v[:, -1], since_s[:, -1]
 

@@ -5,6 +5,7 @@ numpy's own import its masked arrays when they are first called. That takes long
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -60,6 +61,16 @@ def median(values: Array) -> Array:
     if upper > lower:
         middle = 0.5 * (middle + in_order[..., upper])
     return np.where(np.isnan(in_order[..., -1]), np.nan, middle)
+
+
+def usual_interval(interval_s: Array) -> float:
+    """Return the median sample interval within signal histories, in s; endless without any.
+
+    Args:
+        interval_s: any shape; 0 where a history begins.
+    """
+    within_s = interval_s[interval_s > 0.0]
+    return float(median(within_s)) if within_s.size else math.inf
 
 
 def distinct(values: NDArray[Number]) -> NDArray[Number]:

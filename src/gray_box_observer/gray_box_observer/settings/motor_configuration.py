@@ -71,7 +71,7 @@ class MotorConfiguration:
 
     @property
     def noise_memory(self) -> float:
-        """Correlation of the current's noise at two samples in a row, where its sensor lags."""
+        """Memory of the current's noise, where its sensor lags; 0: it has none."""
         return 0.0 if self.current_lag is None else self.current_lag.memory
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:

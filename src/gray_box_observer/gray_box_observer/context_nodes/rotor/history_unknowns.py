@@ -91,8 +91,8 @@ class Unknowns:
         speed_output: how the measured speed is fitted; None: it is not looked at.
         load: that varies; None: none does.
         current_sensor: that lags; None: it does not.
-        noise_memory: where its lag is in the voltage already: correlation of the current's noise at
-            two samples in a row.
+        noise_memory: where its lag is in the voltage already: memory of the current's noise
+            (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`).
     """
 
     speed_output: SpeedOutput | None = None
@@ -102,7 +102,7 @@ class Unknowns:
 
     @property
     def memory(self) -> float:
-        """Correlation of the current's noise at two samples in a row."""
+        """Memory of the current's noise."""
         return self.noise_memory if self.current_sensor is None else self.current_sensor.memory
 
     @property

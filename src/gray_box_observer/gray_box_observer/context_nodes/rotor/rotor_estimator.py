@@ -87,7 +87,7 @@ class RotorUpdate:
             nothing is stated. None: of none of them.
         merges_held: whether fewer samples are kept while the voltage is held. Not where that is
             made of commands, which are remembered sample by sample.
-        noise_memory: correlation of the current's noise at two samples in a row.
+        noise_memory: of the current (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`).
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -143,7 +143,7 @@ class RotorUpdate:
 
     @property
     def noise_memory(self) -> float:
-        """Correlation of the current's noise at two samples in a row."""
+        """Memory of the current's noise."""
         return self._learner.noise_memory
 
     @property

@@ -81,7 +81,7 @@ class WindowLearner:
         covariance: shape (parameter, parameter): of these.
         share, reach: shape (parameter,): voltage shares, and their 3-sigma bound.
         noise_a: standard deviation of the current's noise; 0 before the first fit.
-        noise_memory: correlation of the current's noise at two samples in a row.
+        noise_memory: of the current (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`).
         voltage_noise: of a measured voltage, as the newest fit has found it.
         memory: what full windows have told; None before the first one.
         is_settled: whether the motor is explained.
