@@ -76,6 +76,22 @@ def test_a_voltage_that_changes_inside_the_interval_counts_for_its_share_of_it()
     assert samples[1].voltage_v[0] == pytest.approx((3 * 2.0 + 4 * 8.0 + 3 * 4.0) / 10, rel=1e-14)
 
 
+def test_a_sample_tells_the_voltage_in_force_just_before_its_stamp() -> None:
+    events = [
+        ('v', 0, 2.0),
+        ('t', 0, 0.0),
+        ('v', 7, 4.0),
+        ('t', 10, 1.0),
+        ('v', 20, 6.0),
+        ('t', 20, 1.0),
+        ('v', 30, 8.0),
+        ('t', 30, 1.0),
+        ('v', 40, 8.0),
+    ]
+    samples = feed(Pairing(), events)
+    assert [float(one.held_v[0]) for one in samples] == [2.0, 4.0, 4.0, 6.0]
+
+
 def test_a_voltage_stamped_before_the_first_torque_is_in_force_from_there() -> None:
     samples = feed(
         Pairing(), [('v', 0, 2.0), ('v', 4, 6.0), ('t', 5, 0.0), ('v', 10, 9.0), ('t', 10, 1.0)]

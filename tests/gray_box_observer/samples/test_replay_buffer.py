@@ -5,8 +5,14 @@ from collections import deque
 import numpy as np
 import pytest
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.samples.replay_buffer import (
+    FEWEST_SIGNALS,
+    HELD_VOLTAGE,
+    check_signals,
+    held_voltage,
+)
 
 
 def sample(random: np.random.Generator, motors: int) -> Sample:
@@ -55,6 +61,28 @@ def test_the_newest_few_can_be_asked_for_and_never_more_than_there_are() -> None
     for got, expected in zip(views(buffer, 3), rows(all_samples[-3:]), strict=True):
         np.testing.assert_array_equal(got, expected)
     assert buffer.torque_nm(99).shape == (2, 8)
+
+
+def test_the_voltage_in_force_is_remembered_where_that_is_asked_for() -> None:
+    told = Sample.of_one_motor(0, 1e-3, 3.0, 0.1, held_v=5.0)
+    untold = told._replace(held_v=None)
+    buffer = ReplayBuffer(1, 8, voltage_held=True)
+    for one in (told, untold):
+        buffer.append(one)
+    content = buffer.content()
+    assert held_voltage(content)[0].tolist() == [5.0, 3.0]
+    check_signals('samples', content)
+    other = ReplayBuffer(1, 8, voltage_held=True)
+    other.refill(content)
+    assert held_voltage(other.content())[0].tolist() == [5.0, 3.0]
+    plain = ReplayBuffer(1, 8)
+    plain.refill(content)
+    assert plain.content().shape[0] == FEWEST_SIGNALS
+    other.refill(plain.content())  # of an early release: each interval has one voltage
+    assert held_voltage(other.content())[0].tolist() == [3.0, 3.0]
+    content[HELD_VOLTAGE, 0, 0] = np.nan
+    with pytest.raises(CheckpointError, match='held_v'):
+        check_signals('samples', content)
 
 
 def test_views_are_not_copies() -> None:

@@ -28,7 +28,14 @@ from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.order_statistics import usual_interval
-from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, without_lone
+from gray_box_observer.samples.replay_buffer import (
+    INTERVAL,
+    SPEED,
+    TORQUE,
+    VOLTAGE,
+    held_voltage,
+    without_lone,
+)
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
     CURRENT_LAG,
@@ -265,7 +272,7 @@ class MotorForm:
 def _sample(column: Array, stamp_ns: int) -> Sample:
     """Return a sample by its signals, shape (signal,)."""
     signals = (float(column[row]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
-    return Sample.of_one_motor(stamp_ns, *signals)
+    return Sample.of_one_motor(stamp_ns, *signals, held_v=float(held_voltage(column)))
 
 
 def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: Array) -> float:

@@ -22,7 +22,7 @@ from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
 from gray_box_observer.samples.order_statistics import usual_interval
-from gray_box_observer.samples.replay_buffer import INTERVAL
+from gray_box_observer.samples.replay_buffer import FEWEST_SIGNALS, INTERVAL
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -232,7 +232,9 @@ class MotorView:
         replay = self.remembered()
         if len(replay) < 2:
             return None
-        interval_s, voltage_v, torque_nm, speed_rad_s = replay.newest(len(replay))[:, 0]
+        interval_s, voltage_v, torque_nm, speed_rad_s = replay.newest(len(replay))[
+            :FEWEST_SIGNALS, 0
+        ]
         run_nm = white_box_torque(
             self.white_box, self.theta[0], interval_s, voltage_v, torque_nm, speed_rad_s
         )

@@ -18,6 +18,7 @@ from gray_box_observer.samples.replay_buffer import (
     VOLTAGE,
     ReplayBuffer,
     check_signals,
+    held_voltage,
 )
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.samples.sample_merger import SampleMerger
@@ -34,13 +35,14 @@ class TrialMemory:
     """
 
     def __init__(self, capacity: int) -> None:
-        self._replay = ReplayBuffer(1, capacity, speed_measured=False)
+        self._replay = ReplayBuffer(1, capacity, speed_measured=False, voltage_held=True)
         self._merger = SampleMerger()
 
     def keep(self, content: Array) -> None:
         """Take samples that have come, shape (signal, 1, n)."""
-        for interval_s, voltage_v, torque_nm in content[[INTERVAL, VOLTAGE, TORQUE], 0].T.tolist():
-            sample = Sample.of_one_motor(0, interval_s, voltage_v, torque_nm)
+        rows = *content[[INTERVAL, VOLTAGE, TORQUE], 0], held_voltage(content)[0]
+        for interval_s, voltage_v, torque_nm, held_v in np.array(rows).T.tolist():
+            sample = Sample.of_one_motor(0, interval_s, voltage_v, torque_nm, held_v=held_v)
             for kept_sample in self._merger.step(sample):
                 self._replay.append(kept_sample)
 
@@ -48,7 +50,10 @@ class TrialMemory:
         """Return what is remembered, shape (signal, 1, n), up to the newest sample."""
         content = self._replay.content()
         for sample in self._merger.pending:
-            signals = (sample.interval_s, sample.voltage_v, sample.torque_nm, np.zeros(1))
+            assert sample.held_v is not None
+            signals = (
+                sample.interval_s, sample.voltage_v, sample.torque_nm, np.zeros(1), sample.held_v,
+            )  # fmt: skip
             content = np.concatenate([content, np.array(signals)[:, :, None]], axis=2)
         return content[:, :, -self._replay.capacity :]
 

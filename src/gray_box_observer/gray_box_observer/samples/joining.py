@@ -163,7 +163,9 @@ class OneMotor:
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         if passed_ns is not None and not math.isnan(mean_v):
-            return Sample.of_one_motor(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s)
+            end_v = mean_v if math.isnan(held_v[0]) else held_v[0]
+            passed_s = seconds(passed_ns)
+            return Sample.of_one_motor(stamp_ns, passed_s, mean_v, torque_nm, speed_rad_s, end_v)
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
             self._refusal_counts['torque'][Rejection.NO_VOLTAGE] += 1

@@ -65,6 +65,12 @@ class RawSignals:
         integral: Array = total[at] + self.voltage_v[at] * (time_s - self.voltage_time_s[at])
         return integral
 
+    def voltage_before(self, time_s: Array) -> Array:
+        """Return the voltage held just before given times, in V; same shape."""
+        at = np.maximum(np.searchsorted(self.voltage_time_s, time_s, side='left') - 1, 0)
+        held_v: Array = self.voltage_v[at]
+        return held_v
+
 
 class _Numbers:
     """Bounded rows of a stamp in ns and plain numbers; read out at once, as a sample waits.

@@ -13,9 +13,12 @@ from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, che
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 
-INTERVAL, VOLTAGE, TORQUE, SPEED = range(4)
-"""Rows of the signals in what a buffer gives."""
-_NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
+INTERVAL, VOLTAGE, TORQUE, SPEED, HELD_VOLTAGE = range(5)
+"""Rows of the signals in what a buffer gives; the last one where it remembers that."""
+_NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s', 'held_v')
+
+FEWEST_SIGNALS = 4
+"""Signals that every buffer has, and all that files of early releases hold."""
 
 STAGE = 32
 """Samples gathered as they come before it is settled which of them are whose."""
@@ -37,18 +40,32 @@ def check_signals(name: str, content: Any, motors: int = 1, longest: int | None 
     Raises:
         CheckpointError: another shape, or a number out of range.
     """
+    rows = len(_NAMES) if np.shape(content)[:1] == (len(_NAMES),) else FEWEST_SIGNALS
     check_array(
-        name, content, ArrayRule((4, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True)
+        name, content, ArrayRule((rows, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True)
     )
     check_array(
         f'{name}: interval_s', content[INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S)
     )
-    for signal in (VOLTAGE, TORQUE):
+    for signal in (VOLTAGE, TORQUE, *range(FEWEST_SIGNALS, rows)):
         check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
     if longest is not None and not 1 <= content.shape[2] <= longest:
         raise CheckpointError(
             f'{name} holds {content.shape[2]} samples a motor, expected 1 to {longest}'
         )
+
+
+def held_voltage(content: Array) -> Array:
+    """Return the voltage in force at every sample in V; where it is untold, that of its interval.
+
+    Args:
+        content: shape (signal, ...), as a buffer gives it.
+
+    Returns:
+        Shape (...).
+    """
+    held_v: Array = content[HELD_VOLTAGE if content.shape[0] > HELD_VOLTAGE else VOLTAGE]
+    return held_v
 
 
 def without_lone(content: Array) -> Array:
@@ -81,6 +98,7 @@ class ReplayBuffer:
         motors: number of motors.
         capacity: how many samples of each are remembered.
         speed_measured: whether speed is remembered; else it reads 0.
+        voltage_held: whether the voltage in force at every sample is remembered, too.
 
     Attributes:
         motors: how many streams there are.
@@ -88,7 +106,14 @@ class ReplayBuffer:
         total: how many samples the group has been given.
     """
 
-    def __init__(self, motors: int, capacity: int, *, speed_measured: bool = True) -> None:
+    def __init__(
+        self,
+        motors: int,
+        capacity: int,
+        *,
+        speed_measured: bool = True,
+        voltage_held: bool = False,
+    ) -> None:
         if motors < 1 or capacity < 1:
             raise ConfigurationError(
                 f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}'
@@ -97,7 +122,9 @@ class ReplayBuffer:
         self.capacity = capacity
         self._speed_measured = speed_measured
         stage = max(1, min(STAGE, capacity // 2))
-        self._rows = np.zeros((2 * capacity + stage, 4, motors))
+        self._voltage_held = voltage_held
+        signals = len(_NAMES) if voltage_held else FEWEST_SIGNALS
+        self._rows = np.zeros((2 * capacity + stage, signals, motors))
         self._data = self._rows.transpose(1, 2, 0)
         self._present = np.ones((stage, motors), dtype=bool)
         self._top = 0  # row behind the newest sample of any motor, where what is staged begins
@@ -120,6 +147,8 @@ class ReplayBuffer:
         row[TORQUE] = sample.torque_nm
         if self._speed_measured:
             row[SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
+        if self._voltage_held:
+            row[HELD_VOLTAGE] = sample.voltage_v if sample.held_v is None else sample.held_v
         if sample.present is not None:
             self._present[self._staged_count] = sample.present
             self._gaps = True
@@ -242,7 +271,10 @@ class ReplayBuffer:
     def newest(
         self, count: int, chosen_motors: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> Array:
-        """Return some motors' samples, (signal, motor, count): interval, voltage, torque, speed.
+        """Return some motors' samples, shape (signal, motor, count).
+
+        The signals are interval, voltage, torque and speed, and the voltage in force at the sample
+        where that is remembered.
 
         Args:
             count: how many; all the motors must have as many.
@@ -279,7 +311,8 @@ class ReplayBuffer:
     @classmethod
     def from_samples(cls, samples: Sequence[Sample]) -> ReplayBuffer:
         """Return a buffer of just these samples; a missing speed repeats the previous one."""
-        buffer = cls(samples[0].torque_nm.size, len(samples))
+        is_held = samples[0].held_v is not None
+        buffer = cls(samples[0].torque_nm.size, len(samples), voltage_held=is_held)
         speed = samples[0].speed_rad_s
         for sample in samples:
             speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, speed)
@@ -300,7 +333,9 @@ class ReplayBuffer:
         self.settle()
         keep = min(content.shape[2], self.capacity + self.capacity // 2)
         cut = content.shape[2] - keep
-        self._data[:, motors, :keep] = content[:, :, cut:]
+        self._data[:FEWEST_SIGNALS, motors, :keep] = content[:FEWEST_SIGNALS, :, cut:]
+        if self._voltage_held:
+            self._data[HELD_VOLTAGE, motors, :keep] = held_voltage(content)[:, cut:]
         if not self._speed_measured:
             self._data[SPEED, motors, :keep] = 0.0
         self._end[motors] = keep

@@ -19,6 +19,7 @@ _INTERVAL = slice(0, 1)
 _VOLTAGE = slice(1, 2)
 _TORQUE = slice(2, 3)
 _SPEED = slice(3, 4)
+_HELD = slice(4, 5)
 
 
 def seconds(duration_ns: int) -> float:
@@ -45,6 +46,7 @@ class Sample(NamedTuple):
         speed_rad_s: shape (motor,): measured speed at the stamp; NaN where none is measured.
         present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays
             hold of the others is not to be used.
+        held_v: shape (motor,): voltage in force just before the stamp; None: it is not told.
     """
 
     stamp_ns: int
@@ -53,6 +55,7 @@ class Sample(NamedTuple):
     torque_nm: Array
     speed_rad_s: Array
     present: NDArray[np.bool_] | None = None
+    held_v: Array | None = None
 
     def beginning(self, motors: NDArray[np.bool_] | None = None) -> Sample:
         """Return the sample as the first of a history, of some motors or all: interval none."""
@@ -70,9 +73,11 @@ class Sample(NamedTuple):
             x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s)
         )
         present = None if self.present is None else self.present[index]
+        held_v = None if self.held_v is None else self.held_v[index]
         return Sample(
-            self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present
-        )
+            self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present,
+            held_v,
+        )  # fmt: skip
 
     @classmethod
     def of_one_motor(
@@ -82,14 +87,16 @@ class Sample(NamedTuple):
         voltage_v: float,
         torque_nm: float,
         speed_rad_s: float = np.nan,
+        held_v: float | None = None,
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
-        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float)
+        end_v = voltage_v if held_v is None else held_v
+        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s, end_v), dtype=float)
         # As cls(...) does, without the call that every sample would pay for.
         return tuple.__new__(
             cls,
             (
                 stamp_ns, values[_INTERVAL], values[_VOLTAGE], values[_TORQUE], values[_SPEED],
-                None,
+                None, values[_HELD],
             ),
         )  # fmt: skip

@@ -68,6 +68,7 @@ class _Span(NamedTuple):
         volt_seconds: mean voltage times that interval.
         stamp_ns: of the last one.
         torque_nm: likewise.
+        held_v: voltage in force at it.
     """
 
     sample_count: int = 0
@@ -75,6 +76,7 @@ class _Span(NamedTuple):
     volt_seconds: float = 0.0
     stamp_ns: int = 0
     torque_nm: float = 0.0
+    held_v: float = 0.0
 
     @property
     def merged(self) -> tuple[Sample, ...]:
@@ -82,7 +84,11 @@ class _Span(NamedTuple):
         if not self.sample_count:
             return ()
         voltage_v = self.volt_seconds / self.interval_s
-        return (Sample.of_one_motor(self.stamp_ns, self.interval_s, voltage_v, self.torque_nm),)
+        return (
+            Sample.of_one_motor(
+                self.stamp_ns, self.interval_s, voltage_v, self.torque_nm, held_v=self.held_v
+            ),
+        )
 
 
 _NONE = _Span()
@@ -138,6 +144,7 @@ class SampleMerger:
             self._span.volt_seconds + voltage_v * interval_s,
             sample.stamp_ns,
             float(sample.torque_nm[0]),
+            voltage_v if sample.held_v is None else float(sample.held_v[0]),
         )
         if self._span.sample_count * HELD_A_SPAN < self._held_count:
             return ()
@@ -197,5 +204,15 @@ class SampleMerger:
                 number(span, 'volt_seconds', -LARGEST, LARGEST),
                 whole(span, 'stamp_ns', -LATEST_NS, LATEST_NS),
                 number(span, 'torque_nm', -LARGEST_SIGNAL, LARGEST_SIGNAL),
+                _held(span),
             )
         return merger
+
+
+def _held(span: Mapping[str, Any]) -> float:
+    """Return the voltage in force at the end of a saved span; early releases saved the mean."""
+    if 'held_v' in span:
+        return number(span, 'held_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)
+    return number(span, 'volt_seconds', -LARGEST, LARGEST) / number(
+        span, 'interval_s', SMALLEST, LARGEST
+    )

@@ -94,6 +94,6 @@ def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:
         begin: place before the oldest sample that counts.
     """
     count = samples.shape[1]
-    buffer = ReplayBuffer(1, count)
+    buffer = ReplayBuffer(1, count, voltage_held=True)
     buffer.refill(samples[:, None], dropped_count=place - count, begin=max(begin, place - count))
     return buffer

@@ -94,7 +94,10 @@ class RecursiveEstimator:
         prior = Prior.of_parameters(to_coordinates(theta), relative_std)
         self._state = EstimatorState.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(
-            motors, self._rules.replay_capacity, speed_measured=white_box.speed_measured
+            motors,
+            self._rules.replay_capacity,
+            speed_measured=white_box.speed_measured,
+            voltage_held=motors == 1,  # of one that goes over to a rotor
         )
         self._changes = ChangeTracker(white_box.parameters, self._rules)
         self._regular = RegularEstimates(white_box.parameters, motors)

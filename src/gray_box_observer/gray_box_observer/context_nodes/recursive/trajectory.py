@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import interval_motion
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.samples.replay_buffer import FEWEST_SIGNALS, ReplayBuffer, held_voltage
 from gray_box_observer.white_box.declaration import COMPILED, State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -89,6 +89,7 @@ class SampleWindow:
         interval_s: shape (motor, k): its length; 0 at a restart.
         speed_rad_s: shape (motor, k + 1).
         restart: shape (motor, k): where the signal history starts anew.
+        held_v: shape (motor, k + 1): voltage in force at every sample; None: it is not told.
     """
 
     state: Array
@@ -96,6 +97,7 @@ class SampleWindow:
     interval_s: Array
     speed_rad_s: Array
     restart: NDArray[np.bool_]
+    held_v: Array | None = None
 
     @cached_property
     def is_regular(self) -> bool:
@@ -128,7 +130,9 @@ class SampleWindow:
         voltage = self.voltage_v[index]
         interval = self.interval_s[index]
         speed = self.speed_rad_s[index]
-        return SampleWindow(self.state[index], voltage, interval, speed, self.restart[index])
+        held_v = None if self.held_v is None else self.held_v[index]
+        restart = self.restart[index]
+        return SampleWindow(self.state[index], voltage, interval, speed, restart, held_v)
 
     def part(self, begin: int, end: int) -> SampleWindow:
         """Return samples ``begin`` ... ``end`` as a stretch."""
@@ -140,6 +144,7 @@ class SampleWindow:
             self.interval_s[:, between],
             self.speed_rad_s[:, samples],
             self.restart[:, between],
+            None if self.held_v is None else self.held_v[:, samples],
         )
 
     @classmethod
@@ -168,7 +173,7 @@ class SampleWindow:
     @classmethod
     def of_content(cls, white_box: WhiteBox, content: Array) -> SampleWindow:
         """Make a stretch of samples as a replay buffer gives them, shape (signal, motor, k + 1)."""
-        interval, voltage, torque, speed = content
+        interval, voltage, torque, speed = content[:FEWEST_SIGNALS]
         interval = interval[:, 1:]
         restart = interval <= 0.0
         return cls(
@@ -177,6 +182,7 @@ class SampleWindow:
             interval,
             speed,
             restart,
+            held_voltage(content),
         )
 
 

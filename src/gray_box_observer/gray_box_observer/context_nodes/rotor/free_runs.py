@@ -386,8 +386,8 @@ def free_runs(
     runs = []
     for history, start in zip(window.histories, starts, strict=True):
         load = load_over_intervals(start[window.unknowns.loads], history.interval_s)
-        result = run(
-            torque_constant, p, start[:STATES], history.voltage_v, history.interval_s, limits, load,
+        result = _run(
+            torque_constant, p, start[:STATES], history, limits, load,
             patience=patience, is_compiled=is_compiled,
         )  # fmt: skip
         runs.append(result)
@@ -399,6 +399,31 @@ def free_runs(
         is_bounded=is_bounded,
         noise=noise,
     )
+
+
+def _run(
+    torque_constant: float,
+    p: Array,
+    start: Array,
+    history: History,
+    limits: Array,
+    load_rad_s2: Array | None,
+    *,
+    patience: int,
+    is_compiled: bool,
+) -> Run:
+    """Run freely through one history; see :func:`run`."""
+    parts = history.parts
+    if parts is None:
+        return run(
+            torque_constant, p, start, history.voltage_v, history.interval_s, limits, load_rad_s2,
+            patience=patience, is_compiled=is_compiled,
+        )  # fmt: skip
+    result = run(
+        torque_constant, p, start, parts.voltage_v, parts.interval_s, limits,
+        parts.repeated(load_rad_s2), patience=patience, is_compiled=is_compiled,
+    )  # fmt: skip
+    return parts.over_intervals(result) if result.is_bounded else result
 
 
 def _residuals(

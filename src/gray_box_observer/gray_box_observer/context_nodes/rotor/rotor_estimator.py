@@ -116,7 +116,9 @@ class RotorUpdate:
         )
         self._learner.noise_memory = noise_memory
         capacity = max(self._rules.replay_capacity, WINDOW)
-        self.replay = ReplayBuffer(1, capacity, speed_measured=self._learner.speed_measured)
+        self.replay = ReplayBuffer(
+            1, capacity, speed_measured=self._learner.speed_measured, voltage_held=True
+        )
         merges = merges_held and not self._learner.speed_measured
         self._merger = SampleMerger() if merges else None
         self._schedule = WindowSchedule()

@@ -14,9 +14,10 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
     SpeedOutput,
     Unknowns,
 )
+from gray_box_observer.context_nodes.rotor.voltage_parts import VoltageParts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, held_voltage
 from gray_box_observer.samples.voltage_level import noise_range
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -53,6 +54,7 @@ class History:
         interval_s: shape (k,).
         speed_rad_s: shape (k + 1,): measured; None where it is not looked at.
         place: of its first sample among those that the window was made of.
+        held_v: shape (k + 1,): voltage in force at every sample; None: it is not told.
     """
 
     current_a: Array
@@ -60,6 +62,14 @@ class History:
     interval_s: Array
     speed_rad_s: Array | None = None
     place: int = 0
+    held_v: Array | None = None
+
+    @cached_property
+    def parts(self) -> VoltageParts | None:
+        """Parts of intervals with a constant voltage; None where it moves within none."""
+        if self.held_v is None:
+            return None
+        return VoltageParts.of_intervals(self.voltage_v, self.interval_s, self.held_v)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +109,7 @@ class Window:
         current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
         begins = np.flatnonzero(samples[INTERVAL] <= 0.0)
         edges = sorted({0, *begins.tolist(), current.size})
+        held_v = held_voltage(samples)
         result = [
             History(
                 current[begin:end],
@@ -106,6 +117,7 @@ class Window:
                 samples[INTERVAL, begin + 1 : end],
                 samples[SPEED, begin:end] if has_speed else None,
                 int(places[begin]),
+                held_v[begin:end],
             )
             for begin, end in pairwise(edges)
             if end - begin >= FEWEST
@@ -195,13 +207,18 @@ class Window:
             last.voltage_v[1 - keep :],
             last.interval_s[1 - keep :],
             None if last.speed_rad_s is None else last.speed_rad_s[-keep:],
+            held_v=None if last.held_v is None else last.held_v[-keep:],
         )
         return Window((part,), self.unknowns, keep + behind)
 
     def delayed(self, delay_s: float) -> Window:
         """Return the samples with voltages that act later by a delay."""
         late = [
-            replace(one, voltage_v=delayed_voltage(one.voltage_v, one.interval_s, delay_s))
+            replace(
+                one,
+                voltage_v=delayed_voltage(one.voltage_v, one.interval_s, delay_s),
+                held_v=None,
+            )
             for one in self.histories
         ]
         return replace(self, histories=tuple(late))

@@ -1,0 +1,81 @@
+"""Voltages that move within a sample interval, for drivers and sensors that keep their own time.
+
+A current whose L/R is no longer than a few samples tells when a voltage has moved, not only its
+mean. With the voltages in force at both ends of an interval the mean tells the instant of one move.
+There the interval is cut in two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run
+from gray_box_observer.white_box.interface import Array
+
+LEAST_MOVE = 0.003
+"""Move of a voltage within an interval, as a share of the largest one, from which its instant
+counts."""
+
+LEAST_PART = 1e-3
+"""Share of an interval that is a part, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class VoltageParts:
+    """Parts of intervals over which a voltage is constant.
+
+    Attributes:
+        voltage_v: shape (part,).
+        interval_s: shape (part,): how long each lasts.
+        is_cut: shape (k,): which intervals have two parts; the others have one.
+    """
+
+    voltage_v: Array
+    interval_s: Array
+    is_cut: NDArray[np.bool_]
+
+    @classmethod
+    def of_intervals(
+        cls, voltage_v: Array, interval_s: Array, held_v: Array
+    ) -> VoltageParts | None:
+        """Cut intervals where the voltage has moved; None where it has moved in none of them.
+
+        Args:
+            voltage_v: shape (k,): mean over every interval.
+            interval_s: shape (k,).
+            held_v: shape (k + 1,): in force at the end of every interval, and where the first
+                begins.
+        """
+        move_v = np.diff(held_v)
+        is_cut = np.abs(move_v) > LEAST_MOVE * float(np.abs(held_v).max(initial=0.0))
+        share = np.where(is_cut, held_v[1:] - voltage_v, 0.0) / np.where(is_cut, move_v, 1.0)
+        is_cut &= (share > LEAST_PART) & (share < 1.0 - LEAST_PART)
+        if not is_cut.any():
+            return None
+        places = np.arange(is_cut.size) + np.cumsum(is_cut)  # of the last part of every interval
+        result_v = np.empty(is_cut.size + int(is_cut.sum()))
+        length_s = np.empty_like(result_v)
+        result_v[places] = np.where(is_cut, held_v[1:], voltage_v)
+        length_s[places] = np.where(is_cut, (1.0 - share) * interval_s, interval_s)
+        first = places[is_cut] - 1
+        result_v[first] = held_v[:-1][is_cut]
+        length_s[first] = (share * interval_s)[is_cut]
+        return cls(result_v, length_s, is_cut)
+
+    def repeated(self, values: Array | None) -> Array | None:
+        """Return what holds over every interval for every part, shape (part,); None: nothing."""
+        return None if values is None else np.repeat(values, 1 + self.is_cut)
+
+    def over_intervals(self, path: Run) -> Run:
+        """Return a run through the parts as one through the intervals."""
+        last = np.arange(self.is_cut.size) + np.cumsum(self.is_cut)
+        nodes = np.concatenate([[0], last + 1])
+        transitions = path.transitions[last]
+        before = path.transitions[last[self.is_cut] - 1]
+        transitions[self.is_cut] = transitions[self.is_cut] @ before
+        return replace(
+            path, states=path.states[nodes], slopes=path.slopes[nodes], transitions=transitions
+        )
