@@ -271,8 +271,10 @@ class MotorForm:
 
 def _sample(column: Array, stamp_ns: int) -> Sample:
     """Return a sample by its signals, shape (signal,)."""
-    signals = (float(column[row]) for row in (INTERVAL, VOLTAGE, TORQUE, SPEED))
-    return Sample.of_one_motor(stamp_ns, *signals, held_v=float(held_voltage(column)))
+    rows = [INTERVAL, VOLTAGE, TORQUE, SPEED]
+    interval_s, voltage_v, torque_nm, speed_rad_s = column[rows].tolist()
+    held_v = float(held_voltage(column))
+    return Sample.of_one_motor(stamp_ns, interval_s, voltage_v, torque_nm, speed_rad_s, held_v)
 
 
 def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: Array) -> float:
