@@ -38,6 +38,9 @@ class DriverCase:
         late: how long after its stamp the voltage acts, in sample intervals.
         noise: of a reading, as a share of the current's spread.
         noise_behind: of what is published, as a share of the same: it comes behind all filters.
+        phase: how long after a sample the voltage moves, in sample intervals, as its stamp says:
+            its publisher keeps its own time.
+        delay: as the observer is told it, ``estimate`` or in s.
     """
 
     averages: bool
@@ -50,6 +53,8 @@ class DriverCase:
     late: float = 0.0
     noise: float = 0.01
     noise_behind: float = 0.0
+    phase: float = 0.0
+    delay: float | str = 0.0
 
 
 def run_driver(case: DriverCase, seed: int) -> MotorTrial:
@@ -60,8 +65,9 @@ def run_driver(case: DriverCase, seed: int) -> MotorTrial:
     current, speed = _measured(case, motor, voltage, rng)
     readings = noisy_readings(speed[None], case.speed_noise, rng)
     return observed_trial(
-        motor, voltage, current, None if readings is None else readings[0], case.rate_hz
-    )
+        motor, voltage, current, None if readings is None else readings[0], case.rate_hz,
+        phase=case.phase, delay=case.delay,
+    )  # fmt: skip
 
 
 def _measured(
@@ -70,7 +76,7 @@ def _measured(
     """Return measured currents and true speeds, shape (k + 1,) each."""
     steps = max(STEPS, math.ceil(SLOWEST_HZ / case.rate_hz))
     plant = Plant(motor, 1.0 / (case.rate_hz * steps))
-    late_v = np.zeros(round(case.late * steps))
+    late_v = np.zeros(round((case.late + case.phase) * steps))
     acting_v = np.concatenate([late_v, np.repeat(voltage_v, steps)])[: voltage_v.size * steps]
     course, speeds = map(np.array, plant.run(acting_v.tolist()))
     if case.low_pass > 0.0:

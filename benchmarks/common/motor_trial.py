@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -55,6 +56,9 @@ def observed_trial(
     current_a: FloatArray,
     speed_rad_s: FloatArray | None,
     rate_hz: float,
+    *,
+    phase: float = 0.0,
+    delay: float | str = 0.0,
 ) -> MotorTrial:
     """Run the observer without predictor over a record; it is told Kt and Kb.
 
@@ -64,19 +68,27 @@ def observed_trial(
         current_a: shape (k + 1,): readings.
         speed_rad_s: shape (k + 1,): likewise; None: the speed is not measured.
         rate_hz: of the samples.
+        phase: how long after a sample the voltage is stamped, in sample intervals.
+        delay: of the voltage, as the observer is told it, ``estimate`` or in s.
     """
     speeds = np.full(current_a.size, math.nan) if speed_rad_s is None else speed_rad_s
     constants = {'torque_constant': motor.torque_constant}
     constants['back_emf_constant'] = motor.back_emf_constant
     flat: dict[str, object] = {f'{MOTOR}.{name}': value for name, value in constants.items()}
+    flat[f'{MOTOR}.delay'] = delay
     observer = Observer(Configuration.from_flat(flat), None)
+    if phase:
+        observer.voltage(MOTOR, round((phase - 1.0) / rate_hz * 1e9), 0.0)
     claim_counts = np.zeros(2, dtype=int)
     volts = [*voltage_v.tolist(), 0.0]
     torque = motor.torque_constant * current_a
     for place, (volt, reading, own_speed) in enumerate(zip(volts, torque, speeds, strict=True)):
         stamp_ns = round(place / rate_hz * 1e9)
-        results = observer.voltage(MOTOR, stamp_ns, volt)
-        results += observer.torque(MOTOR, stamp_ns, float(reading), float(own_speed))
+        messages = [
+            partial(observer.voltage, MOTOR, round((place + phase) / rate_hz * 1e9), volt),
+            partial(observer.torque, MOTOR, stamp_ns, float(reading), float(own_speed)),
+        ]
+        results = [result for say in messages[:: -1 if phase else 1] for result in say()]
         for result in results:
             if result.estimate is not None:
                 claim_counts += claims(result.estimate, motor)

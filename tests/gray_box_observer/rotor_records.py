@@ -53,6 +53,29 @@ def driven(plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3
     return recording_of(samples)
 
 
+STEPS = 5
+"""Steps of :func:`recorded_in_steps` in a sample interval of 1 ms."""
+
+
+@cache
+def recorded_in_steps(late: int, samples: int = 3000) -> Recording:
+    """Record the gear motor in steps; its voltage moves so many of them behind a sample."""
+    rng = np.random.default_rng(5)
+    simulation = Simulation(
+        {'motor': GEAR_MOTOR}, 'external', seed=6, sample_rate_hz=1e3 * STEPS,
+        torque_noise_std=3e-4, speed_mode='rotor',
+    )  # fmt: skip
+    levels_v = [np.full(n, rng.uniform(-12.0, 12.0)) for n in rng.integers(2, 300, 99)]
+    voltage_v = np.concatenate(levels_v)
+    taken = []
+    for step in range(samples * STEPS):
+        place, rest = divmod(step - late, STEPS)
+        if rest == 0 and place >= 0:
+            simulation.command('motor', float(voltage_v[place % voltage_v.size]))
+        taken.append(simulation.step())
+    return recording_of(taken)
+
+
 def recorded_under(
     plant: PlantParameters, load_nm: Callable[[float], float], samples: int, seed: int
 ) -> Recording:

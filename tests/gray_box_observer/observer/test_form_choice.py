@@ -291,7 +291,6 @@ def test_the_choice_does_not_depend_on_when_deferred_work_is_done() -> None:
     ('values', 'why'),
     [
         ({'motor.back_emf_constant': 0.0}, 'must be positive'),
-        ({'motor.delay': 'estimate'}, 'declare it'),
         ({'context_update': 'gradient'}, 'needs recursive'),
         ({'motor.speed_source': 'torque_constant'}, 'as configured'),
     ],

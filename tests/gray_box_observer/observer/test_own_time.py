@@ -2,43 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-
-import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, recording_of
+from rotor_records import CONSTANTS, GEAR_MOTOR, STEPS, recorded_in_steps
 
-from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
-STEPS = 5
-"""Steps of the simulation in a sample interval of 1 ms."""
-
-SAMPLES = 3000
-
-
-@cache
-def _recorded(phase: int) -> Recording:
-    """Record a gear motor in small steps; its voltage moves so many steps behind a sample."""
-    rng = np.random.default_rng(5)
-    simulation = Simulation(
-        {'motor': GEAR_MOTOR}, 'external', seed=6, sample_rate_hz=1e3 * STEPS,
-        torque_noise_std=3e-4, speed_mode='rotor',
-    )  # fmt: skip
-    holds = np.concatenate([np.full(n, rng.uniform(-12.0, 12.0)) for n in rng.integers(2, 300, 99)])
-    taken = []
-    for step in range(SAMPLES * STEPS):
-        if step % STEPS == phase:
-            simulation.command('motor', float(holds[step // STEPS % holds.size]))
-        taken.append(simulation.step())
-    return recording_of(taken)
-
 
 def _observed(phase: int) -> Observer:
-    record = _recorded(phase)
+    record = recorded_in_steps(phase)
     observer = Observer(Configuration.from_flat(CONSTANTS))
     for step, stamp_ns in enumerate(record.stamp_ns.tolist()):
         if step % STEPS == phase:

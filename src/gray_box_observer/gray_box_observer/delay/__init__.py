@@ -2,6 +2,13 @@
 
 from gray_box_observer.delay.declared import DeclaredDelay
 from gray_box_observer.delay.round import DelayRound
-from gray_box_observer.delay.watch import DelayEstimate, DelayVerdict, DelayWatch
+from gray_box_observer.delay.watch import DelayEstimate, DelayVerdict, DelayWatch, HiddenRotor
 
-__all__ = ['DeclaredDelay', 'DelayEstimate', 'DelayRound', 'DelayVerdict', 'DelayWatch']
+__all__ = [
+    'DeclaredDelay',
+    'DelayEstimate',
+    'DelayRound',
+    'DelayVerdict',
+    'DelayWatch',
+    'HiddenRotor',
+]

@@ -1,4 +1,4 @@
-"""A delay that is not searched: that of a motor with a rotor, whose voltage leads its current."""
+"""A delay that is not searched: what was found of driver, sensor or load stands beside it."""
 
 from __future__ import annotations
 

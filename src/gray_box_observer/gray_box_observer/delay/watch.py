@@ -13,10 +13,12 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
+from gray_box_observer.delay.hidden_rotor_delay import HiddenRotorSearch
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import LARGEST, entry, number, number_or_none, whole
@@ -25,10 +27,14 @@ from gray_box_observer.samples.raw_history import TORQUES, RawSignals, SignalHis
 from gray_box_observer.samples.sample import nanoseconds, seconds
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 FIRST = 128
 """Samples before the question is first asked; then whenever a quarter has come on top, at last
 every LONGEST_WAIT."""
+
+FIRST_OF_ROTOR = 256
+"""Samples from which the physics of a hidden rotor is asked."""
 
 LONGEST_WAIT = 1024
 
@@ -77,6 +83,7 @@ class DelayEstimate:
         is_estimated: whether it is estimated; else it was declared.
         value_s, std_s: what the data say; NaN while they do not.
         verdict: how far the two agree.
+        applied_std_s: standard deviation of a delay that was found and applied; 0 of another one.
     """
 
     applied_s: float
@@ -84,6 +91,7 @@ class DelayEstimate:
     value_s: float = math.nan
     std_s: float = math.nan
     verdict: DelayVerdict = DelayVerdict.UNKNOWN
+    applied_std_s: float = 0.0
 
     @property
     def words(self) -> str:
@@ -155,8 +163,24 @@ class _Progress:
     before: _Found | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class HiddenRotor:
+    """Physics of a motor whose rotor turns unseen, or may.
+
+    Attributes:
+        white_box: of the whole motor.
+        initial: shape (parameter,): first guess of its parameters.
+    """
+
+    white_box: MotorWhiteBox
+    initial: Array
+
+
 class DelayWatch:
     """Asks for the delay of one motor.
+
+    A motor with a hidden rotor is asked by the physics of the whole of it: where its delay is to be
+    estimated, or where it is a misfit. So is one that may have such a rotor, while it is a misfit.
 
     Args:
         white_box: the physics.
@@ -164,6 +188,7 @@ class DelayWatch:
         applied_s: the delay in force.
         is_estimated: whether a delay that is found shall be applied.
         gap_s: a longer silence of torque starts the signal history anew.
+        hidden_rotor: that the motor has or may have; None: it can have none.
 
     Attributes:
         estimate: what is known.
@@ -177,7 +202,10 @@ class DelayWatch:
         *,
         is_estimated: bool,
         gap_s: float,
+        hidden_rotor: HiddenRotor | None = None,
     ) -> None:
+        self._hidden_rotor = hidden_rotor
+        self._is_misfit = False
         self._white_box = white_box
         self._applied_std_s = math.inf
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
@@ -195,6 +223,7 @@ class DelayWatch:
         *,
         is_awaited: bool = False,
         late_instant: LateInstantSource | None = None,
+        is_misfit: bool = False,
     ) -> float | None:
         """Go on by one piece of work, where there is any.
 
@@ -209,6 +238,7 @@ class DelayWatch:
             is_awaited: whether somebody waits for what the sample has led to; the work then waits
                 for the next one.
             late_instant: where the speed is measured.
+            is_misfit: whether the physics does not explain the data.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
@@ -221,8 +251,12 @@ class DelayWatch:
         if is_undeclared and not self._is_supported(estimate.value_s, late_instant):
             self._progress.before = None
             self.estimate = DelayEstimate(estimate.applied_s, estimate.is_estimated)
+        self._is_misfit = is_misfit
         progress = self._progress
         progress.count += samples
+        if self._white_box.has_rotor and not (is_misfit or estimate.is_estimated):
+            progress.work = None
+            return None
         progress.is_put_off = is_awaited and not progress.is_put_off
         if progress.is_put_off:
             return None
@@ -279,6 +313,31 @@ class DelayWatch:
         if np.all(restart):
             return None
         interval_s = float(median(steps[~restart]))
+        result = None
+        if not self._white_box.has_rotor:
+            result = yield from self._search_balance(signals, restart, interval_s, reach_s)
+        if self._hidden_rotor is None or (result is not None and self._is_clear(result)):
+            return result
+        if not (self._white_box.has_rotor or self._is_misfit):
+            return result
+        other = yield from self._search_rotor(signals, restart, interval_s, reach_s)
+        return result if other is None else other
+
+    def _is_clear(self, result: _Found) -> bool:
+        """Tell whether an outcome is sure: the delay in force, or another one."""
+        return result.inside and (
+            result.agrees_with(self.estimate.applied_s) or result.evidence >= EVIDENCE
+        )
+
+    def _search_balance(
+        self,
+        signals: RawSignals,
+        restart: NDArray[np.bool_],
+        interval_s: float,
+        reach_s: tuple[float, float],
+    ) -> Generator[None, None, _Found | None]:
+        """Search by the balance of the voltage, whose speed is measured or w = Kt i."""
+        applied_s = self.estimate.applied_s
         coarse = yield from profile(self._white_box, signals, restart, interval_s, reach_s)
         yield
         if coarse is None:
@@ -305,6 +364,29 @@ class DelayWatch:
         held_fit = yield from fine.fit(applied_s, free=False)
         likelihood_gain = evidence(best, held_fit)
         return replace(result, evidence=likelihood_gain) if math.isfinite(likelihood_gain) else None
+
+    def _search_rotor(
+        self,
+        signals: RawSignals,
+        restart: NDArray[np.bool_],
+        interval_s: float,
+        reach_s: tuple[float, float],
+    ) -> Generator[None, None, _Found | None]:
+        """Search by the physics of the whole motor, which costs most: ever more rarely in vain."""
+        assert self._hidden_rotor is not None
+        if self._progress.count < max(self._progress.refine_at, FIRST_OF_ROTOR):
+            return None
+        self._progress.refine_at = 2 * self._progress.count  # unless it brings news
+        rotor = self._hidden_rotor
+        search = HiddenRotorSearch(
+            rotor.white_box, rotor.initial, signals, restart, interval_s, reach_s
+        )
+        result = yield from search.run(self.estimate.applied_s)
+        if result is None or not math.isfinite(result.delay_s + result.std_s):
+            return None
+        margin_s = 0.5 * interval_s
+        inside = reach_s[0] + margin_s < result.delay_s < reach_s[1] - margin_s
+        return _Found(result.delay_s, result.std_s, result.evidence, interval_s, inside)
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
@@ -408,7 +490,7 @@ class DelayWatch:
     def _apply(self, result: _Found) -> float:
         applied_s = seconds(nanoseconds(result.delay_s))
         self.estimate = DelayEstimate(
-            applied_s, True, result.delay_s, result.std_s, DelayVerdict.ESTIMATED
+            applied_s, True, result.delay_s, result.std_s, DelayVerdict.ESTIMATED, result.std_s
         )
         self._applied_std_s = result.std_s
         self._dropped_count = 0
@@ -458,5 +540,10 @@ class DelayWatch:
         self._interval_s = interval_s or math.nan  # 0 is no interval
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
         self.estimate = DelayEstimate(
-            applied_s, self.estimate.is_estimated, value_s, std_s, DelayVerdict[word]
+            applied_s,
+            self.estimate.is_estimated,
+            value_s,
+            std_s,
+            DelayVerdict[word],
+            applied_std_s or 0.0,
         )

@@ -290,13 +290,14 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
 
 ROTOR_REMEDIES: dict[str, str] = dict.fromkeys(
     LATE,
-    'declare {motor}.delay in s where the voltage acts later than it is stamped; where the current '
-    'sensor lags, take its filter off: a delay does not make up for that',
+    'set {motor}.delay to estimate, or declare it in s, where the voltage acts later than it is '
+    'stamped; where the current sensor lags, take its filter off: a delay does not make up for '
+    'that',
 ) | {
     CHANGE: 'call ~/reset where the motor has become another one; what is missing in '
     '{motor}.context_nodes looks alike, such as load_torque, or quadratic_friction of a fan'
 }
-"""The same for a rotor whose speed nobody measures: its delay cannot be estimated."""
+"""The same for a rotor whose speed nobody measures."""
 
 ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
     LATE,

@@ -218,6 +218,7 @@ def judge(
     speed_is_hidden: bool = False,
     is_doubted: bool = False,
     is_drifting: bool = False,
+    delay_std: float = 0.0,
 ) -> Judgement:
     """Judge one motor.
 
@@ -230,6 +231,7 @@ def judge(
         speed_is_hidden: whether it is that of a rotor which nobody measures.
         is_doubted: whether it did not fit so far: less is enough then to go on doubting.
         is_drifting: whether it is followed as a winding that heats, which leaves a white residual.
+        delay_std: standard deviation of an estimated delay of the voltage, in sample intervals.
     """
     limit = SCORE_MEASURED if speed_measured else SCORE_UNMEASURED
     is_coloured = analysis.whiteness > WHITENESS_DOUBT
@@ -270,7 +272,7 @@ def judge(
         is_smooth = _is_delay_untold(analysis, speed_measured=speed_measured)
         late += UNIFORM_STD if is_smooth else _untold_std(analysis)
         unknown_shifts += _driver_doubts(analysis, speed_is_hidden=speed_is_hidden)
-    unknown_shifts.append((late, analysis.stamps.delay.shift))
+    unknown_shifts += [(amount, analysis.stamps.delay.shift) for amount in (late, delay_std)]
     for amount, unknown_shift in unknown_shifts:
         shift = _within_reach(amount * np.clip(unknown_shift, -LARGEST_SHIFT, LARGEST_SHIFT))
         spread += np.outer(shift, shift)

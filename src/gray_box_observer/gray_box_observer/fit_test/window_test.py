@@ -236,6 +236,9 @@ class WindowTest:
             )
         )
         yield count
+        delay_std = 0.0
+        if white_box.has_rotor:  # others resolve L/R by many samples
+            delay_std = motor.delay.applied_std_s / usual_interval(samples[INTERVAL])
         judgement = judge(
             analysis,
             estimate.std[0] / theta[0],
@@ -245,6 +248,7 @@ class WindowTest:
             speed_is_hidden=self.white_box.has_rotor,
             is_doubted=before is not None and before.is_lasting_misfit,
             is_drifting=is_drifting,
+            delay_std=delay_std,
         )
         shift = inductance_shift(white_box, samples, theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)

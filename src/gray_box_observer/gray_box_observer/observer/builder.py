@@ -23,7 +23,7 @@ from gray_box_observer.context_nodes import (
     published_known_parts,
 )
 from gray_box_observer.context_nodes.native import whole_motor
-from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
+from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch, HiddenRotor
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
@@ -131,9 +131,8 @@ def _form(
     def watch(motor: int) -> DelayWatch:
         initial = np.array([motors[motor].initial()])
         estimates_delay = first.estimates_delay
-        is_declared = (
-            boxes[motor].has_rotor or first.current_lag is not None or motors[motor].coasts
-        )
+        is_declared = first.current_lag is not None or motors[motor].coasts
+        is_declared |= boxes[motor].has_rotor and bool(first.added_effects)
         kind_of_watch = DeclaredDelay if is_declared else DelayWatch
         return kind_of_watch(
             boxes[motor],
@@ -141,6 +140,7 @@ def _form(
             first.delay_s,
             is_estimated=estimates_delay,
             gap_s=configuration['gap_s'],
+            hidden_rotor=_hidden_rotor(configuration, first, white_box),
         )
 
     def make_forecasting() -> Forecasting | None:
@@ -157,6 +157,19 @@ def _form(
         dead_zone_v = np.array([motor.dead_zone_v for motor in motors])
         path = VoltagePath(dead_zone_v, first.current_lag, coasts=first.coasts)
     return MotorForm(white_box, nodes, delay, fit, make_forecasting, scales, path)
+
+
+def _hidden_rotor(
+    configuration: Configuration, motor: MotorConfiguration, white_box: MotorWhiteBox
+) -> HiddenRotor | None:
+    """Return the rotor that a motor alone has or may have unseen; None: it can have none."""
+    if not white_box.has_rotor:
+        may_turn = motor.values['speed_source'] == 'auto' and not white_box.speed_measured
+        if not may_turn or _obstacle(configuration, [motor]) is not None:
+            return None
+        motor = motor.with_rotor()
+        white_box = motor.white_box(speed_measured=False)
+    return HiddenRotor(white_box, np.array(motor.without_mechanics().initial()))
 
 
 def _makes_voltage(motors: Sequence[MotorConfiguration]) -> bool:
@@ -226,7 +239,6 @@ def _open_effects(
 
 def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]) -> str | None:
     """Say why a rotor cannot be tried; None where it can."""
-    name = motors[0].name
     if len(motors) > 1:
         return (
             'the motor is computed together with others; set its speed_source to rotor, or '
@@ -234,8 +246,6 @@ def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]
         )
     if configuration['context_update'] != 'recursive':
         return f'context_update is {configuration["context_update"]}, and a rotor needs recursive'
-    if motors[0].estimates_delay:
-        return f'its delay is estimated; declare it with {name}.delay in s'
     if whole_motor.library() is None:
         return 'the package was built without a C compiler'
     try:

@@ -320,6 +320,20 @@ class FormChoice:
         self._pace.end(self._place)
         return form
 
+    def begin_anew(self, nodes: ContextUpdate) -> None:
+        """Forget what was remembered for trials, and the trial under way: samples are other ones.
+
+        Args:
+            nodes: the rule that has learnt them.
+        """
+        self._trial = None
+        self._memory = None
+        self._budget.pieces = 0
+        self._change_count = 0
+        self._place = int(nodes.replay.received[0])
+        self._pace = TrialPace()
+        self.wake()
+
     def wake(self) -> None:
         """Take note that the fit was tested: what was idle goes on."""
         self.is_idle = self._open is None

@@ -15,11 +15,12 @@ from gray_box_observer.context_nodes import (
     RotorUpdate,
     VerdictSettings,
 )
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayRound
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
@@ -440,7 +441,13 @@ class MotorObserver:
         late_instant = None
         if isinstance(nodes, MeasuredSpeedUpdate) and nodes.is_noisy:
             late_instant = nodes.late_instant
-        return delay.update(history, stamp_ns, is_awaited=is_awaited, late_instant=late_instant)
+        return delay.update(
+            history,
+            stamp_ns,
+            is_awaited=is_awaited,
+            late_instant=late_instant,
+            is_misfit=self._fit.assessment(0).verdict is FitVerdict.MISFIT,
+        )
 
     def reconfigure(
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
@@ -471,8 +478,14 @@ class MotorObserver:
         self._tests.give_up()
         samples = [self._follow_path(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
-        learn_at_once(context_nodes, content, samples[-1])
+        if isinstance(context_nodes, RotorUpdate):
+            completed(context_nodes.learn_remembered(content, samples[-1].stamp_ns))
+        else:
+            learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
+        self.form_choice.begin_anew(context_nodes)
+        if isinstance(context_nodes, RotorUpdate):
+            self._speed = SpeedTracking(self.white_box, context_nodes)
         forecasting = self._forecasting
         if forecasting is not None:
             forecasting.training.refill(content)

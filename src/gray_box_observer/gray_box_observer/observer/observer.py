@@ -534,6 +534,8 @@ class Observer:
             if delay_s is not None:
                 past_samples, later_samples = pairing.redelay(delay_s, sample.stamp_ns)
                 motors = [self.configuration.motors[name] for name in group.names]
+                if observer.white_box.has_rotor:  # as the form in force has it
+                    motors = [observer.configuration_of(0)]
                 observer.relearn(
                     context_nodes(self.configuration, motors, observer.white_box), past_samples
                 )

@@ -404,11 +404,6 @@ def _check_rotor(motor: MotorConfiguration) -> None:
         )
     if not motor.has_rotor:
         return
-    if motor.estimates_delay:
-        raise ConfigurationError(
-            f'motor {name}: the delay of a motor whose speed_source is rotor cannot be estimated; '
-            f'declare it with {name}.delay in s'
-        )
     if not values['back_emf_constant'] > 0.0:
         raise ConfigurationError(
             f'motor {name}: speed_source is rotor, so {name}.back_emf_constant must be positive'
