@@ -128,6 +128,8 @@ def _form(
     nodes = context_nodes(configuration, motors, white_box)
     motors = [motor.without_mechanics() for motor in motors]
 
+    hidden_rotor = _hidden_rotor(configuration, first, white_box) if len(motors) == 1 else None
+
     def watch(motor: int) -> DelayWatch:
         initial = np.array([motors[motor].initial()])
         estimates_delay = first.estimates_delay
@@ -140,7 +142,7 @@ def _form(
             first.delay_s,
             is_estimated=estimates_delay,
             gap_s=configuration['gap_s'],
-            hidden_rotor=_hidden_rotor(configuration, first, white_box),
+            hidden_rotor=hidden_rotor,
         )
 
     def make_forecasting() -> Forecasting | None:
