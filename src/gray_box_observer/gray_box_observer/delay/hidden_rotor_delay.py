@@ -64,7 +64,7 @@ SIDE = 0.05
 LEAST_SIZE = 1e-9
 """Size of a direction in which the unknowns move the current, over the largest, at least."""
 
-RUNS_A_PIECE = 4
+RUNS_A_PIECE = 2
 """Free runs of a fit that are one piece of work."""
 
 MOST_WORK = 1_048_576

@@ -33,8 +33,9 @@ FIRST = 128
 """Samples before the question is first asked; then whenever a quarter has come on top, at last
 every LONGEST_WAIT."""
 
-FIRST_OF_ROTOR = 256
-"""Samples from which the physics of a hidden rotor is asked."""
+FIRST_OF_ROTOR, FIRST_OF_MISFIT = 256, 1024
+"""Samples from which the physics of a hidden rotor is asked, for a delay that is to be estimated and
+of any other misfit: most are soon explained without."""
 
 LONGEST_WAIT = 1024
 
@@ -374,7 +375,8 @@ class DelayWatch:
     ) -> Generator[None, None, _Found | None]:
         """Search by the physics of the whole motor, which costs most: ever more rarely in vain."""
         assert self._hidden_rotor is not None
-        if self._progress.count < max(self._progress.refine_at, FIRST_OF_ROTOR):
+        first = FIRST_OF_ROTOR if self.estimate.is_estimated else FIRST_OF_MISFIT
+        if self._progress.count < max(self._progress.refine_at, first):
             return None
         self._progress.refine_at = 2 * self._progress.count  # unless it brings news
         rotor = self._hidden_rotor
