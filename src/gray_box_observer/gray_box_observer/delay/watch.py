@@ -34,8 +34,8 @@ FIRST = 128
 every LONGEST_WAIT."""
 
 FIRST_OF_ROTOR, FIRST_OF_MISFIT = 256, 1024
-"""Samples from which the physics of a hidden rotor is asked, for a delay that is to be estimated and
-of any other misfit: most are soon explained without."""
+"""Samples from which the physics of a hidden rotor is asked: for a delay that is to be estimated,
+and of another misfit, for most are soon explained without."""
 
 LONGEST_WAIT = 1024
 
