@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     input_reach,
     linearise,
 )
+from gray_box_observer.context_nodes.rotor.window import History
 from gray_box_observer.samples.replay_buffer import SPEED, TORQUE, VOLTAGE, ReplayBuffer
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import to_coordinates
@@ -28,8 +29,8 @@ def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Arr
     The current keeps, of its noise, what is new at every sample: what the filter's memory brings is
     taken off. The speed is free of what noise of the voltage does to the run. It is straight
     between two samples for who reads them, and bends in the fit.
-    So the voltage contains what takes the current the same way. A history too short to be fitted
-    keeps its readings.
+    A voltage that moves between them counts as its mean. So the voltage contains what takes the
+    current the same way. A history too short to be fitted keeps its readings.
 
     Args:
         white_box: physics whose speed is a signal.
@@ -48,7 +49,9 @@ def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Arr
         places = slice(history.place, history.place + history.current_a.size)
         result[SPEED, places] = path.states[:, State.SPEED]
         intervals = slice(places.start + 1, places.stop)
-        result[VOLTAGE, intervals] += _bend_v(white_box, result[:, places], path.states, fit)
+        most_v = _largest_bend(white_box, history, path.states)
+        bend_v = _bend_v(white_box, result[:, places], path.states, fit)
+        result[VOLTAGE, intervals] += np.clip(bend_v, -most_v, most_v)
         result[SPEED, places] = runs.probable_speed(row)
         if is_lagging:
             noise_a = residual_a[begin : begin + history.current_a.size]
@@ -60,7 +63,7 @@ def as_of_motor(white_box: MotorWhiteBox, samples: Array, fit: OutputFit) -> Arr
 
 
 def _bend_v(white_box: MotorWhiteBox, samples: Array, states: Array, fit: OutputFit) -> Array:
-    """Return what to add to the voltage so that a speed which is straight does as one that bends.
+    """Return what to add to the voltage so that its mean and a straight speed do as the run does.
 
     Args:
         white_box: physics whose speed is a signal.
@@ -70,7 +73,6 @@ def _bend_v(white_box: MotorWhiteBox, samples: Array, states: Array, fit: Output
 
     Returns:
         Shape (k,), in V; nothing where it would move the current by less than a part of its noise.
-        No speed bends by more than it changes.
     """
     current_a = states[None, :, State.CURRENT]
     theta = fit.fit.theta[None, : len(white_box.context_nodes)]
@@ -81,8 +83,19 @@ def _bend_v(white_box: MotorWhiteBox, samples: Array, states: Array, fit: Output
         return np.zeros(missed_a.size)
     with np.errstate(all='ignore'):
         bend_v = missed_a * theta[0, 0] / input_reach(stretch.interval_s, maps.decay)
+    return np.asarray(np.nan_to_num(bend_v[0]))
+
+
+def _largest_bend(white_box: MotorWhiteBox, history: History, states: Array) -> Array:
+    """Return the most that may be added to the voltage of an interval, shape (k,), in V.
+
+    No speed bends by more than it changes, and no voltage differs from its mean by more than it
+    moves.
+    """
     most_v = float(white_box.known['back_emf_constant']) * np.abs(np.diff(states[:, State.SPEED]))
-    return np.asarray(np.clip(np.nan_to_num(bend_v[0]), -most_v, most_v))
+    if history.parts is None or history.held_v is None:
+        return np.asarray(most_v)
+    return np.asarray(most_v + np.where(history.parts.is_cut, np.abs(np.diff(history.held_v)), 0.0))
 
 
 def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:
