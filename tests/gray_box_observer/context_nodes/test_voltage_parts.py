@@ -10,7 +10,7 @@ from rotor_motors import BOX, KT, THETA
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
-from gray_box_observer.context_nodes.rotor.voltage_parts import VoltageParts
+from gray_box_observer.context_nodes.rotor.voltage_parts import VoltageParts, equivalent_voltage
 from gray_box_observer.context_nodes.rotor.window import Window
 
 Floats = NDArray[np.float64]
@@ -112,3 +112,17 @@ def test_a_window_knows_the_voltage_in_force_where_samples_tell_it() -> None:
     late = told.delayed(1e-3)
     assert late.histories[0].parts is None  # whose ends are not known
     assert told.tail(20).histories[0].parts is not None
+
+
+@pytest.mark.parametrize('length', [1e-9, 0.3, 2.0, 40.0])
+def test_an_equivalent_voltage_leaves_a_winding_as_the_moving_one_does(length: float) -> None:
+    before_v = 4.0
+    after_v = -7.0
+    share = 0.3
+    mean_v = share * before_v + (1.0 - share) * after_v
+    held_v = np.array([before_v, after_v, after_v])
+    same_v = equivalent_voltage(np.array([mean_v, after_v]), held_v, np.full(2, length))
+    kept = np.exp(-(1.0 - share) * length)
+    end = kept * before_v * -np.expm1(-share * length) - after_v * np.expm1(-(1.0 - share) * length)
+    expected_v = mean_v if length < 1e-6 else end / -np.expm1(-length)
+    assert same_v == pytest.approx([expected_v, after_v], rel=1e-5)

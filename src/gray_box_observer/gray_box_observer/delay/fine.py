@@ -27,11 +27,13 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     weighted,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
+from gray_box_observer.context_nodes.rotor.voltage_parts import equivalent_voltage
 from gray_box_observer.delay.coarse import credible
 from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.samples.raw_history import RawSignals
-from gray_box_observer.white_box.flow import within_bounds
+from gray_box_observer.white_box.flow import to_parameters, within_bounds
 from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 STEPS = 12
 TOLERANCE = 0.02
@@ -118,9 +120,18 @@ class FineSearch:
             yield from self._climb(free)
         return self._fitted(free)
 
+    @property
+    def _decay_rate(self) -> float:
+        """R/L in 1/s, at the present values; 0 where it is not known."""
+        if not isinstance(self._white_box, MotorWhiteBox):
+            return 0.0
+        values = self._white_box.values(to_parameters(self._p)[0])
+        return values.get('resistance', 0.0) / values['inductance']
+
     def _start(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self._gain = 0.0
+        self._p = self._initial
         stretch = replace(self._stretch(delay_s), state=self._near)
         window = min(20, stretch.voltage_v.shape[1] // 4)
         self._p = within_bounds(
@@ -133,6 +144,8 @@ class FineSearch:
         times = self._signals.time_s
         interval = np.diff(times)[None]
         voltage = np.diff(self._signals.voltage_integral(times - delay_s))[None] / interval
+        held_v = self._signals.voltage_before(times - delay_s)
+        voltage = equivalent_voltage(voltage[0], held_v, interval[0] * self._decay_rate)[None]
         voltage = np.where(self._restart, 0.0, voltage)
         interval = np.where(self._restart, 0.0, interval)
         return SampleWindow(

@@ -22,6 +22,9 @@ counts."""
 LEAST_PART = 1e-3
 """Share of an interval that is a part, at least."""
 
+LEAST_LENGTH = 1e-6
+"""Time constants L/R in an interval, at least: in less the mean voltage is all that counts."""
+
 
 @dataclass(frozen=True, eq=False)
 class VoltageParts:
@@ -49,10 +52,8 @@ class VoltageParts:
             held_v: shape (k + 1,): in force at the end of every interval, and where the first
                 begins.
         """
-        move_v = np.diff(held_v)
-        is_cut = np.abs(move_v) > LEAST_MOVE * float(np.abs(held_v).max(initial=0.0))
-        share = np.where(is_cut, held_v[1:] - voltage_v, 0.0) / np.where(is_cut, move_v, 1.0)
-        is_cut &= (share > LEAST_PART) & (share < 1.0 - LEAST_PART)
+        share = _shares_before(voltage_v, held_v)
+        is_cut = share > 0.0
         if not is_cut.any():
             return None
         places = np.arange(is_cut.size) + np.cumsum(is_cut)  # of the last part of every interval
@@ -79,3 +80,32 @@ class VoltageParts:
         return replace(
             path, states=path.states[nodes], slopes=path.slopes[nodes], transitions=transitions
         )
+
+
+def _shares_before(voltage_v: Array, held_v: Array) -> Array:
+    """Return which share of an interval lies before its voltage moves; 0: it does not move.
+
+    Args:
+        voltage_v: shape (k,): mean over every interval.
+        held_v: shape (k + 1,): in force at the end of every interval, and where the first begins.
+    """
+    move_v = np.diff(held_v)
+    is_far = np.abs(move_v) > LEAST_MOVE * float(np.abs(held_v).max(initial=0.0))
+    share = np.where(is_far, held_v[1:] - voltage_v, 0.0) / np.where(is_far, move_v, 1.0)
+    is_within = (share > LEAST_PART) & (share < 1.0 - LEAST_PART)
+    return np.where(is_within, share, 0.0)
+
+
+def equivalent_voltage(voltage_v: Array, held_v: Array, lengths: Array) -> Array:
+    """Return constant voltages that leave a winding as those do that move, shape (k,), in V.
+
+    Args:
+        voltage_v: shape (k,): mean over every interval.
+        held_v: shape (k + 1,): in force at the end of every interval, and where the first begins.
+        lengths: shape (k,): of the intervals, in time constants L/R.
+    """
+    share = _shares_before(voltage_v, held_v)
+    x = np.maximum(lengths, LEAST_LENGTH)
+    weight = (np.exp(-(1.0 - share) * x) - np.exp(-x)) / -np.expm1(-x)
+    moving_v = held_v[1:] + weight * (held_v[:-1] - held_v[1:])
+    return np.where(share > 0.0, moving_v, voltage_v)
