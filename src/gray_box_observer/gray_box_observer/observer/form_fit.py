@@ -295,7 +295,7 @@ class FormFitter:
     def is_delay(self, fit: FormFit, content: Array) -> Pieces[bool]:
         """Ask whether a delay of the voltage explains the samples as well as a lag does.
 
-        Beside a rotor it is not asked: there a delay cannot be estimated.
+        Beside a rotor it is not asked: the fit of the whole motor tells them apart.
 
         Args:
             fit: of the form with the lag.
