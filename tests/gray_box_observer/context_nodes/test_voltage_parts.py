@@ -34,6 +34,13 @@ def _held(fine_v: Floats) -> Floats:
     return np.concatenate([fine_v[:1], fine_v[FINE - 1 :: FINE]])
 
 
+def _moments(fine_v: Floats) -> Floats:
+    """Return the first moments of intervals about their middles."""
+    middles = (np.arange(FINE) + 0.5) / FINE - 0.5
+    moments_v: Floats = fine_v.reshape(-1, FINE) @ middles / FINE
+    return moments_v
+
+
 def _by_unknowns(by_coordinate: Floats, p: Floats) -> Floats:
     """Return derivatives by first states and by the logarithms of the parameters."""
     by_parameter = by_coordinate[:, :, 2:] @ slopes(BOX, p)[:, :-1]
@@ -46,7 +53,7 @@ def test_a_run_through_cut_intervals_is_that_of_the_voltage_itself(phase: int) -
     p = coordinates(BOX, SMOOTH)
     start = np.array([0.1, 3.0])
     fine = run(KT, p, start, fine_v, np.full(fine_v.size, 1e-3 / FINE), LIMITS)
-    parts = VoltageParts.of_intervals(mean_v, np.full(60, 1e-3), _held(fine_v))
+    parts = VoltageParts.of_intervals(mean_v, np.full(60, 1e-3), _held(fine_v), _moments(fine_v))
     assert parts is not None
     cut = parts.over_intervals(run(KT, p, start, parts.voltage_v, parts.interval_s, LIMITS))
     plain = run(KT, p, start, mean_v, np.full(60, 1e-3), LIMITS)
@@ -65,28 +72,45 @@ def test_a_run_through_cut_intervals_is_that_of_the_voltage_itself(phase: int) -
 
 
 def test_intervals_in_which_nothing_moves_are_not_cut() -> None:
-    interval_s = np.full(4, 1e-3)
     at_samples_v = np.array([1.0, 5.0, 5.0, -3.0])
     held_v = np.array([1.0, 1.0, 5.0, 5.0, -3.0])  # moves at the samples themselves
-    assert VoltageParts.of_intervals(at_samples_v, interval_s, held_v) is None
-    tiny_v = np.array([5.0, 5.0, 5.005, 5.01, 5.01])
-    means_v = 0.5 * (tiny_v[1:] + tiny_v[:-1])
-    assert VoltageParts.of_intervals(means_v, interval_s, tiny_v) is None
+    parts = VoltageParts.of_intervals(at_samples_v, np.full(4, 1e-3), held_v, np.zeros(4))
+    assert parts is None
 
 
-def test_a_mean_that_no_single_move_explains_stays_what_it_is() -> None:
-    held_v = np.array([1.0, 5.0, 9.0])
-    means_v = np.array([6.0, 7.0])  # of the first more than either end
-    parts = VoltageParts.of_intervals(means_v, np.full(2, 1e-3), held_v)
+def test_of_several_moves_mean_and_first_moment_are_kept() -> None:
+    held_v = np.array([0.0, 12.0])  # and 6 V for nearly all of the interval between
+    shares = np.array([0.005, 0.99, 0.005])
+    volts = np.array([0.0, 6.0, 12.0])
+    middles = np.cumsum(shares) - 0.5 * shares - 0.5
+    moment_v = np.array([float(shares * volts @ middles)])
+    parts = VoltageParts.of_intervals(
+        np.array([float(shares @ volts)]), np.full(1, 1e-3), held_v, moment_v
+    )
     assert parts is not None
-    assert parts.is_cut.tolist() == [False, True]
-    assert parts.voltage_v.tolist() == [6.0, 5.0, 9.0]
-    assert parts.interval_s == pytest.approx([1e-3, 0.5e-3, 0.5e-3])
+    assert parts.interval_s == pytest.approx([0.5e-3, 0.5e-3])
+    assert parts.voltage_v == pytest.approx([6.0, 6.0], abs=0.2)
+    assert parts.range_v[0] == pytest.approx(8.0 * moment_v[0])
+
+
+def test_a_voltage_that_moves_several_times_leaves_the_run_nearly_as_it_is() -> None:
+    rng = np.random.default_rng(7)
+    fine_v = 6.0 + 3.0 * rng.normal(size=60 * FINE)
+    mean_v = fine_v.reshape(60, FINE).mean(axis=1)
+    p = coordinates(BOX, SMOOTH)
+    fine = run(KT, p, np.zeros(2), fine_v, np.full(fine_v.size, 1e-3 / FINE), LIMITS)
+    parts = VoltageParts.of_intervals(mean_v, np.full(60, 1e-3), _held(fine_v), _moments(fine_v))
+    assert parts is not None
+    cut = parts.over_intervals(run(KT, p, np.zeros(2), parts.voltage_v, parts.interval_s, LIMITS))
+    plain = run(KT, p, np.zeros(2), mean_v, np.full(60, 1e-3), LIMITS)
+    off_a = [np.std((path.states - fine.states[::FINE])[:, 0]) for path in (cut, plain)]
+    assert off_a[0] < 0.2 * off_a[1]
 
 
 def test_what_holds_over_an_interval_holds_over_its_parts() -> None:
     held_v = np.array([1.0, 5.0, 5.0])
-    parts = VoltageParts.of_intervals(np.array([3.0, 5.0]), np.full(2, 1e-3), held_v)
+    moments_v = np.array([0.5, 0.0])
+    parts = VoltageParts.of_intervals(np.array([3.0, 5.0]), np.full(2, 1e-3), held_v, moments_v)
     assert parts is not None
     loads = parts.repeated(np.array([7.0, 8.0]))
     assert loads is not None
@@ -98,11 +122,12 @@ def test_a_window_knows_the_voltage_in_force_where_samples_tell_it() -> None:
     fine_v, mean_v = _moving(40, 2)
     p = coordinates(BOX, THETA)
     fine = run(KT, p, np.zeros(2), fine_v, np.full(fine_v.size, 1e-3 / FINE), LIMITS)
-    samples = np.zeros((5, 41))
+    samples = np.zeros((6, 41))
     samples[0, 1:] = 1e-3
     samples[1, 1:] = mean_v
     samples[2] = KT * fine.states[::FINE, 0]
     samples[4] = _held(fine_v)
+    samples[5, 1:] = _moments(fine_v)
     told = Window.from_samples(BOX, samples)
     untold = Window.from_samples(BOX, samples[:4])
     residuals_a = [
@@ -121,7 +146,9 @@ def test_an_equivalent_voltage_leaves_a_winding_as_the_moving_one_does(length: f
     share = 0.3
     mean_v = share * before_v + (1.0 - share) * after_v
     held_v = np.array([before_v, after_v, after_v])
-    same_v = equivalent_voltage(np.array([mean_v, after_v]), held_v, np.full(2, length))
+    moment_v = 0.5 * share * (1.0 - share) * (after_v - before_v)
+    moments_v = np.array([moment_v, 0.0])
+    same_v = equivalent_voltage(np.array([mean_v, after_v]), moments_v, held_v, np.full(2, length))
     kept = np.exp(-(1.0 - share) * length)
     end = kept * before_v * -np.expm1(-share * length) - after_v * np.expm1(-(1.0 - share) * length)
     expected_v = mean_v if length < 1e-6 else end / -np.expm1(-length)

@@ -153,7 +153,7 @@ def test_sizes_that_a_motor_may_have_or_whose_resistance_is_stated_are_no_matter
 def test_no_size_is_doubted_in_the_bags_that_are_shipped(name: str, params: dict[str, Any]) -> None:
     outcome = run([BAGS / name], Configuration.from_flat({'predictor': False, **params}), None)
     (motor,) = outcome.observer.motors.values()
-    assert motor.newest(MOST_JUDGED).shape == (5, MOST_JUDGED)
+    assert motor.newest(MOST_JUDGED).shape == (6, MOST_JUDGED)
     assert not {TORQUE_IN_NM, CURRENT_IN_A} & motor.assumptions.keys()
 
 

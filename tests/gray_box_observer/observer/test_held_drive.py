@@ -151,7 +151,7 @@ def test_a_memory_for_trials_reaches_over_more_moves_than_the_newest_samples() -
     memory = TrialMemory(2048)
     memory.keep(content)
     reached = memory.content()
-    assert reached.shape == (5, 1, 2048)
+    assert reached.shape == (6, 1, 2048)
     assert Window.from_samples(BOX, reached[:, 0]).moves >= 3
     assert Window.from_samples(BOX, content[:, 0, -2048:]).moves == 0
 

@@ -90,6 +90,8 @@ def test_a_sample_tells_the_voltage_in_force_just_before_its_stamp() -> None:
     ]
     samples = feed(Pairing(), events)
     assert [float(one.held_v[0]) for one in samples] == [2.0, 4.0, 4.0, 6.0]
+    moments = [float(one.moment_v[0]) for one in samples]
+    assert moments == pytest.approx([0.0, 0.5 * 0.7 * 0.3 * 2.0, 0.0, 0.0])
 
 
 def test_a_voltage_stamped_before_the_first_torque_is_in_force_from_there() -> None:

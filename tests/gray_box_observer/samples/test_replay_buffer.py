@@ -11,7 +11,9 @@ from gray_box_observer.samples.replay_buffer import (
     FEWEST_SIGNALS,
     HELD_VOLTAGE,
     check_signals,
-    held_voltage,
+    forget_moves,
+    moves_of,
+    with_moves,
 )
 
 
@@ -63,23 +65,26 @@ def test_the_newest_few_can_be_asked_for_and_never_more_than_there_are() -> None
     assert buffer.torque_nm(99).shape == (2, 8)
 
 
-def test_the_voltage_in_force_is_remembered_where_that_is_asked_for() -> None:
-    told = Sample.of_one_motor(0, 1e-3, 3.0, 0.1, held_v=5.0)
-    untold = told._replace(held_v=None)
-    buffer = ReplayBuffer(1, 8, voltage_held=True)
+def test_moves_of_the_voltage_are_remembered_where_that_is_asked_for() -> None:
+    told = Sample.of_one_motor(0, 1e-3, 3.0, 0.1, 0.0, held_v=5.0, moment_v=0.25)
+    untold = told._replace(held_v=None, moment_v=None)
+    buffer = ReplayBuffer(1, 8, with_moves=True)
     for one in (told, untold):
         buffer.append(one)
     content = buffer.content()
-    assert held_voltage(content)[0].tolist() == [5.0, 3.0]
+    assert [row[0].tolist() for row in moves_of(content)] == [[5.0, 3.0], [0.25, 0.0]]
     check_signals('samples', content)
-    other = ReplayBuffer(1, 8, voltage_held=True)
+    other = ReplayBuffer(1, 8, with_moves=True)
     other.refill(content)
-    assert held_voltage(other.content())[0].tolist() == [5.0, 3.0]
+    assert np.array_equal(other.content(), content)
     plain = ReplayBuffer(1, 8)
     plain.refill(content)
     assert plain.content().shape[0] == FEWEST_SIGNALS
     other.refill(plain.content())  # of an early release: each interval has one voltage
-    assert held_voltage(other.content())[0].tolist() == [3.0, 3.0]
+    assert [row[0].tolist() for row in moves_of(other.content())] == [[3.0, 3.0], [0.0, 0.0]]
+    assert np.array_equal(with_moves(plain.content()), other.content())
+    forget_moves(content)
+    assert np.array_equal(content, other.content())
     content[HELD_VOLTAGE, 0, 0] = np.nan
     with pytest.raises(CheckpointError, match='held_v'):
         check_signals('samples', content)

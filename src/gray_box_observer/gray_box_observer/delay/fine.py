@@ -143,9 +143,8 @@ class FineSearch:
     def _stretch(self, delay_s: float) -> SampleWindow:
         times = self._signals.time_s
         interval = np.diff(times)[None]
-        voltage = np.diff(self._signals.voltage_integral(times - delay_s))[None] / interval
-        held_v = self._signals.voltage_before(times - delay_s)
-        voltage = equivalent_voltage(voltage[0], held_v, interval[0] * self._decay_rate)[None]
+        moves = self._signals.between(times - delay_s)
+        voltage = equivalent_voltage(*moves, interval[0] * self._decay_rate)[None]
         voltage = np.where(self._restart, 0.0, voltage)
         interval = np.where(self._restart, 0.0, interval)
         return SampleWindow(

@@ -28,7 +28,13 @@ from gray_box_observer.context_nodes.rotor.window_learner import POOR, SEARCHED,
 from gray_box_observer.context_nodes.rotor.window_search import NEARLY, Search
 from gray_box_observer.delay.coarse import credible
 from gray_box_observer.samples.raw_history import RawSignals
-from gray_box_observer.samples.replay_buffer import HELD_VOLTAGE, INTERVAL, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import (
+    HELD_VOLTAGE,
+    INTERVAL,
+    MOMENT,
+    TORQUE,
+    VOLTAGE,
+)
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -185,12 +191,13 @@ class HiddenRotorSearch:
         """Return the samples, with a voltage that acts so much later than it is stamped."""
         time_s = self._signals.time_s
         interval_s = np.diff(time_s)
-        samples = np.zeros((HELD_VOLTAGE + 1, time_s.size))
+        samples = np.zeros((MOMENT + 1, time_s.size))
         samples[INTERVAL, 1:] = np.where(self._restart, 0.0, interval_s)
-        integral_vs = self._signals.voltage_integral(time_s - delay_s)
-        samples[VOLTAGE, 1:] = np.diff(integral_vs) / interval_s
+        mean_v, moment_v, held_v = self._signals.between(time_s - delay_s)
+        samples[VOLTAGE, 1:] = mean_v
         samples[TORQUE] = self._signals.torque_nm
-        samples[HELD_VOLTAGE] = self._signals.voltage_before(time_s - delay_s)
+        samples[HELD_VOLTAGE] = held_v
+        samples[MOMENT, 1:] = moment_v
         return Window.from_samples(self._white_box, samples)
 
     def _fit(self, delay_s: float, near: Fit) -> Generator[None, None, Fit | None]:

@@ -15,7 +15,7 @@ from gray_box_observer.context_nodes.rotor.rotor_trajectory import state_respons
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.samples.replay_buffer import HELD_VOLTAGE, SPEED
+from gray_box_observer.samples.replay_buffer import HELD_VOLTAGE, MOMENT, SPEED
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import swapped_logarithms, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -176,11 +176,9 @@ def _samples(white_box: MotorWhiteBox, stretch: SampleWindow) -> Array:
     interval = np.concatenate([[0.0], np.where(stretch.restart[0], 0.0, stretch.interval_s[0])])
     voltage = np.concatenate([[0.0], stretch.voltage_v[0]])
     torque = np.asarray(white_box.output(stretch.state[0]))
-    if stretch.held_v is None:
-        result = np.zeros((SPEED + 1, torque.size))
-    else:
-        result = np.zeros((HELD_VOLTAGE + 1, torque.size))
-        result[HELD_VOLTAGE] = stretch.held_v[0]
+    result = np.zeros((MOMENT + 1, torque.size))
+    result[HELD_VOLTAGE] = voltage if stretch.held_v is None else stretch.held_v[0]
+    result[MOMENT] = 0.0 if stretch.moment_v is None else stretch.moment_v[0]
     result[:SPEED] = interval, voltage, torque
     return result
 

@@ -23,7 +23,7 @@ from gray_box_observer.observer.motor_form import ROTOR, WORK_A_SAMPLE, FormKind
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import usual_interval
-from gray_box_observer.samples.replay_buffer import HELD_VOLTAGE, INTERVAL, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE, forget_moves
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
 from gray_box_observer.settings.sensor_lag import (
     LARGEST_CHANGE,
@@ -441,7 +441,7 @@ def _delayed(content: Array, delay_s: float) -> Array:
     late_v = delayed_voltage(content[VOLTAGE, 0], interval_s, delay_s)
     result = content.copy()
     result[VOLTAGE, 0, is_whole] = late_v[is_whole]
-    result[HELD_VOLTAGE:] = result[VOLTAGE]
+    forget_moves(result)
     return result
 
 

@@ -37,7 +37,7 @@ from gray_box_observer.safe_io.saved_state import (
     number_or_none,
     whole,
 )
-from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals, with_moves
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
     CURRENT_LAG,
@@ -409,13 +409,13 @@ class FormTrial:
         backlog: Sequence[Array] = ()
         if _BACKLOG in arrays:
             check_signals(_BACKLOG, arrays[_BACKLOG], longest=2 * LONGEST_BACKLOG)
-            backlog = [*arrays[_BACKLOG][:, 0].T.copy()]
+            backlog = [*with_moves(arrays[_BACKLOG])[:, 0].T.copy()]
         start = TrialStart(
             kind,
             _saved_candidates(plain, kind, open_forms),
             len(white_box.parameters),
             number,
-            arrays[_TRIAL],
+            with_moves(arrays[_TRIAL]),
             stamp_ns,
             math.inf if before_a is None else before_a,
         )

@@ -30,10 +30,8 @@ from gray_box_observer.samples import Sample
 from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import (
     INTERVAL,
-    SPEED,
     TORQUE,
-    VOLTAGE,
-    held_voltage,
+    with_moves,
     without_lone,
 )
 from gray_box_observer.settings.motor_configuration import (
@@ -271,10 +269,10 @@ class MotorForm:
 
 def _sample(column: Array, stamp_ns: int) -> Sample:
     """Return a sample by its signals, shape (signal,)."""
-    rows = [INTERVAL, VOLTAGE, TORQUE, SPEED]
-    interval_s, voltage_v, torque_nm, speed_rad_s = column[rows].tolist()
-    held_v = float(held_voltage(column))
-    return Sample.of_one_motor(stamp_ns, interval_s, voltage_v, torque_nm, speed_rad_s, held_v)
+    interval_s, voltage_v, torque_nm, speed_rad_s, held_v, moment_v = with_moves(column).tolist()
+    return Sample.of_one_motor(
+        stamp_ns, interval_s, voltage_v, torque_nm, speed_rad_s, held_v, moment_v
+    )
 
 
 def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: Array) -> float:

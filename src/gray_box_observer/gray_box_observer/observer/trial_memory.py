@@ -13,12 +13,14 @@ import numpy as np
 
 from gray_box_observer.safe_io.saved_state import group
 from gray_box_observer.samples.replay_buffer import (
+    HELD_VOLTAGE,
     INTERVAL,
+    MOMENT,
     TORQUE,
     VOLTAGE,
     ReplayBuffer,
     check_signals,
-    held_voltage,
+    with_moves,
 )
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.samples.sample_merger import SampleMerger
@@ -35,14 +37,16 @@ class TrialMemory:
     """
 
     def __init__(self, capacity: int) -> None:
-        self._replay = ReplayBuffer(1, capacity, speed_measured=False, voltage_held=True)
+        self._replay = ReplayBuffer(1, capacity, speed_measured=False, with_moves=True)
         self._merger = SampleMerger()
 
     def keep(self, content: Array) -> None:
         """Take samples that have come, shape (signal, 1, n)."""
-        rows = *content[[INTERVAL, VOLTAGE, TORQUE], 0], held_voltage(content)[0]
-        for interval_s, voltage_v, torque_nm, held_v in np.array(rows).T.tolist():
-            sample = Sample.of_one_motor(0, interval_s, voltage_v, torque_nm, held_v=held_v)
+        rows = with_moves(content)[[INTERVAL, VOLTAGE, TORQUE, HELD_VOLTAGE, MOMENT], 0]
+        for interval_s, voltage_v, torque_nm, held_v, moment_v in rows.T.tolist():
+            sample = Sample.of_one_motor(
+                0, interval_s, voltage_v, torque_nm, held_v=held_v, moment_v=moment_v
+            )
             for kept_sample in self._merger.step(sample):
                 self._replay.append(kept_sample)
 
@@ -50,11 +54,9 @@ class TrialMemory:
         """Return what is remembered, shape (signal, 1, n), up to the newest sample."""
         content = self._replay.content()
         for sample in self._merger.pending:
-            assert sample.held_v is not None
-            signals = (
-                sample.interval_s, sample.voltage_v, sample.torque_nm, np.zeros(1), sample.held_v,
-            )  # fmt: skip
-            content = np.concatenate([content, np.array(signals)[:, :, None]], axis=2)
+            signals = (sample.interval_s, sample.voltage_v, sample.torque_nm, np.zeros(1))
+            newest = with_moves(np.array(signals)[:, :, None])
+            content = np.concatenate([content, newest], axis=2)
         return content[:, :, -self._replay.capacity :]
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:

@@ -28,7 +28,7 @@ from gray_box_observer.safe_io.saved_state import (
     check_array,
     number,
 )
-from gray_box_observer.samples.replay_buffer import HELD_VOLTAGE, INTERVAL, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE, forget_moves
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.interface import Array
@@ -146,7 +146,7 @@ class VoltagePath:
         if not self.has_filter:
             voltage_v = _outside(sample.voltage_v, self._dead_zone_v)
             return sample._replace(
-                voltage_v=voltage_v, interval_s=known_interval_s, held_v=voltage_v
+                voltage_v=voltage_v, interval_s=known_interval_s, held_v=voltage_v, moment_v=None
             )
         voltage_v, self._lagging_v = self._voltage_and_end(
             self._lagging_v, interval_s, sample.voltage_v
@@ -159,7 +159,11 @@ class VoltagePath:
             torque_nm = _newest_values(self._average, interval_s, self._reading_nm, torque_nm)
             self._reading_nm = sample.torque_nm
         return sample._replace(
-            voltage_v=voltage_v, torque_nm=torque_nm, interval_s=known_interval_s, held_v=voltage_v
+            voltage_v=voltage_v,
+            torque_nm=torque_nm,
+            interval_s=known_interval_s,
+            held_v=voltage_v,
+            moment_v=None,
         )
 
     def follow_content(self, content: Array) -> Array:
@@ -209,7 +213,7 @@ class VoltagePath:
             count = min(content.shape[2], len(values))
             if count:
                 content[signal, 0, -count:] = list(values)[-count:]
-        content[HELD_VOLTAGE:] = content[VOLTAGE]
+        forget_moves(content)
         return content
 
     def _driven_to_end(self, content: Array) -> tuple[Array, Array, Array]:
@@ -222,7 +226,7 @@ class VoltagePath:
         content[INTERVAL][is_open] = 0.0
         voltage_v = _outside(content[VOLTAGE], self._dead_zone_v[:, None])
         content[VOLTAGE] = voltage_v
-        content[HELD_VOLTAGE:] = voltage_v
+        forget_moves(content)
         lag = self._lag
         nothing = np.zeros(content.shape[1])
         if not self.has_filter:
@@ -242,7 +246,7 @@ class VoltagePath:
         lagging_v = recurrence(remainder, inputs[None], voltage_v[None, :, 0])[0]
         share = np.where(begins, 0.0, _share(interval_s, lag))
         content[VOLTAGE] = voltage_v + share * (lagging_v[:, :-1] - voltage_v)
-        content[HELD_VOLTAGE:] = content[VOLTAGE]
+        forget_moves(content)
         settled_s = SETTLED * lag.lag_s if lag.settles else interval_s
         content[INTERVAL] = np.where(since_s > settled_s, interval_s, 0.0)
         return content, lagging_v[:, -1], since_s[:, -1]

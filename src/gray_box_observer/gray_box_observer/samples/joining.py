@@ -72,7 +72,7 @@ class Joining(Protocol):
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any],
-        torque_nm: Any, speed_rad_s: Any, gap_ns: int,
+        torque_nm: Any, speed_rad_s: Any, gap_ns: int, moment_v: float = 0.0,
     ) -> Sample | None:  # fmt: skip
         """Make a sample of finite numbers; None, counted, where no motor is known.
 
@@ -84,6 +84,7 @@ class Joining(Protocol):
             torque_nm: the torque.
             speed_rad_s: the speed.
             gap_ns: a motor that was absent for longer starts its history anew.
+            moment_v: first moment of one motor's voltage; see :meth:`HeldVoltage.moment`.
         """
 
     def refusal_counts(self, motor: int) -> RefusalCounts:
@@ -159,13 +160,14 @@ class OneMotor:
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float],
-        torque_nm: float, speed_rad_s: float, gap_ns: int,
+        torque_nm: float, speed_rad_s: float, gap_ns: int, moment_v: float = 0.0,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         if passed_ns is not None and not math.isnan(mean_v):
             end_v = mean_v if math.isnan(held_v[0]) else held_v[0]
-            passed_s = seconds(passed_ns)
-            return Sample.of_one_motor(stamp_ns, passed_s, mean_v, torque_nm, speed_rad_s, end_v)
+            return Sample.of_one_motor(
+                stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s, end_v, moment_v
+            )
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
             self._refusal_counts['torque'][Rejection.NO_VOLTAGE] += 1
@@ -299,7 +301,7 @@ class ManyMotors:
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array],
-        torque_nm: Array, speed_rad_s: Any, gap_ns: int,
+        torque_nm: Array, speed_rad_s: Any, gap_ns: int, moment_v: float = 0.0,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank

@@ -465,16 +465,19 @@ class Pairing:
         known_ns = None
         passed_ns = None
         mean_v = self._joining.blank
+        moment_v = 0.0
         if start_ns is not None:
             known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
                 passed_ns = stamp_ns - start_ns
                 mean_v = self._voltages.mean(start_ns, stamp_ns)
+                if self.motors == 1:
+                    moment_v = self._voltages.moment(start_ns, stamp_ns)
         first_v = self._voltages.step_to(
             stamp_ns, is_lost=known_ns is not None and known_ns >= stamp_ns
         )
         sample = self._joining.join(
-            stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns
+            stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns, moment_v
         )
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns

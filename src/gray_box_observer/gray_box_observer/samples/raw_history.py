@@ -65,11 +65,27 @@ class RawSignals:
         integral: Array = total[at] + self.voltage_v[at] * (time_s - self.voltage_time_s[at])
         return integral
 
-    def voltage_before(self, time_s: Array) -> Array:
-        """Return the voltage held just before given times, in V; same shape."""
+    def between(self, time_s: Array) -> tuple[Array, Array, Array]:
+        """Return the voltage between given times, ascending, shape (k + 1,), in V.
+
+        Returns:
+            Mean and first moment (:meth:`HeldVoltage.moment`) of every interval, shape (k,), and
+            what is held just before every time, shape (k + 1,).
+        """
+        areas_vs = self.voltage_v[:-1] * np.diff(self.voltage_time_s)
+        total_vs = np.concatenate([[0.0], np.cumsum(areas_vs)])
+        doubled_vs2 = (total_vs[:-1] + 0.5 * areas_vs) * np.diff(self.voltage_time_s)
+        total_vs2 = np.concatenate([[0.0], np.cumsum(doubled_vs2)])
         at = np.maximum(np.searchsorted(self.voltage_time_s, time_s, side='left') - 1, 0)
+        since_s = time_s - self.voltage_time_s[at]
         held_v: Array = self.voltage_v[at]
-        return held_v
+        integral_vs = total_vs[at] + held_v * since_s
+        integral_vs2 = total_vs2[at] + (total_vs[at] + 0.5 * held_v * since_s) * since_s
+        length_s = np.diff(time_s)
+        mean_v = np.diff(integral_vs) / length_s
+        ends_vs = 0.5 * (integral_vs[1:] + integral_vs[:-1])
+        moment_v = (ends_vs - np.diff(integral_vs2) / length_s) / length_s
+        return mean_v, moment_v, held_v
 
 
 class _Numbers:

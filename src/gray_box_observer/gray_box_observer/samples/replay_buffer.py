@@ -13,9 +13,9 @@ from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, che
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 
-INTERVAL, VOLTAGE, TORQUE, SPEED, HELD_VOLTAGE = range(5)
-"""Rows of the signals in what a buffer gives; the last one where it remembers that."""
-_NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s', 'held_v')
+INTERVAL, VOLTAGE, TORQUE, SPEED, HELD_VOLTAGE, MOMENT = range(6)
+"""Rows of the signals in what a buffer gives; the last two where it remembers moves."""
+_NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s', 'held_v', 'moment_v')
 
 FEWEST_SIGNALS = 4
 """Signals that every buffer has, and all that files of early releases hold."""
@@ -55,17 +55,30 @@ def check_signals(name: str, content: Any, motors: int = 1, longest: int | None 
         )
 
 
-def held_voltage(content: Array) -> Array:
-    """Return the voltage in force at every sample in V; where it is untold, that of its interval.
+def moves_of(content: Array) -> tuple[Array, Array]:
+    """Return the voltage in force at every sample, and the first moment over its interval, in V.
 
     Args:
-        content: shape (signal, ...), as a buffer gives it.
-
-    Returns:
-        Shape (...).
+        content: shape (signal, ...): as a buffer gives it; where moves are not remembered, every
+            interval has one voltage.
     """
-    held_v: Array = content[HELD_VOLTAGE if content.shape[0] > HELD_VOLTAGE else VOLTAGE]
-    return held_v
+    if content.shape[0] > MOMENT:
+        return content[HELD_VOLTAGE], content[MOMENT]
+    return content[VOLTAGE], np.zeros_like(content[VOLTAGE])
+
+
+def with_moves(content: Array) -> Array:
+    """Return samples of all signals, shape (MOMENT + 1, ...); see :func:`moves_of`."""
+    if content.shape[0] > MOMENT:
+        return content
+    return np.stack([*content[:FEWEST_SIGNALS], *moves_of(content)])
+
+
+def forget_moves(content: Array) -> None:
+    """Let samples, shape (signal, ...), have one voltage an interval: it was made anew."""
+    if content.shape[0] > MOMENT:
+        content[HELD_VOLTAGE] = content[VOLTAGE]
+        content[MOMENT] = 0.0
 
 
 def without_lone(content: Array) -> Array:
@@ -98,7 +111,7 @@ class ReplayBuffer:
         motors: number of motors.
         capacity: how many samples of each are remembered.
         speed_measured: whether speed is remembered; else it reads 0.
-        voltage_held: whether the voltage in force at every sample is remembered, too.
+        with_moves: whether it is remembered how the voltage moves within intervals, too.
 
     Attributes:
         motors: how many streams there are.
@@ -112,7 +125,7 @@ class ReplayBuffer:
         capacity: int,
         *,
         speed_measured: bool = True,
-        voltage_held: bool = False,
+        with_moves: bool = False,
     ) -> None:
         if motors < 1 or capacity < 1:
             raise ConfigurationError(
@@ -122,8 +135,8 @@ class ReplayBuffer:
         self.capacity = capacity
         self._speed_measured = speed_measured
         stage = max(1, min(STAGE, capacity // 2))
-        self._voltage_held = voltage_held
-        signals = len(_NAMES) if voltage_held else FEWEST_SIGNALS
+        self._has_moves = with_moves
+        signals = len(_NAMES) if with_moves else FEWEST_SIGNALS
         self._rows = np.zeros((2 * capacity + stage, signals, motors))
         self._data = self._rows.transpose(1, 2, 0)
         self._present = np.ones((stage, motors), dtype=bool)
@@ -147,8 +160,9 @@ class ReplayBuffer:
         row[TORQUE] = sample.torque_nm
         if self._speed_measured:
             row[SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
-        if self._voltage_held:
+        if self._has_moves:
             row[HELD_VOLTAGE] = sample.voltage_v if sample.held_v is None else sample.held_v
+            row[MOMENT] = 0.0 if sample.moment_v is None else sample.moment_v
         if sample.present is not None:
             self._present[self._staged_count] = sample.present
             self._gaps = True
@@ -273,8 +287,8 @@ class ReplayBuffer:
     ) -> Array:
         """Return some motors' samples, shape (signal, motor, count).
 
-        The signals are interval, voltage, torque and speed, and the voltage in force at the sample
-        where that is remembered.
+        The signals are interval, voltage, torque and speed; where moves are remembered the voltage
+        in force at the sample, and the first moment of the voltage.
 
         Args:
             count: how many; all the motors must have as many.
@@ -311,8 +325,8 @@ class ReplayBuffer:
     @classmethod
     def from_samples(cls, samples: Sequence[Sample]) -> ReplayBuffer:
         """Return a buffer of just these samples; a missing speed repeats the previous one."""
-        is_held = samples[0].held_v is not None
-        buffer = cls(samples[0].torque_nm.size, len(samples), voltage_held=is_held)
+        is_told = samples[0].held_v is not None
+        buffer = cls(samples[0].torque_nm.size, len(samples), with_moves=is_told)
         speed = samples[0].speed_rad_s
         for sample in samples:
             speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, speed)
@@ -334,8 +348,8 @@ class ReplayBuffer:
         keep = min(content.shape[2], self.capacity + self.capacity // 2)
         cut = content.shape[2] - keep
         self._data[:FEWEST_SIGNALS, motors, :keep] = content[:FEWEST_SIGNALS, :, cut:]
-        if self._voltage_held:
-            self._data[HELD_VOLTAGE, motors, :keep] = held_voltage(content)[:, cut:]
+        if self._has_moves:
+            self._data[HELD_VOLTAGE:, motors, :keep] = with_moves(content)[HELD_VOLTAGE:, :, cut:]
         if not self._speed_measured:
             self._data[SPEED, motors, :keep] = 0.0
         self._end[motors] = keep

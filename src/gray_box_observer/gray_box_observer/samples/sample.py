@@ -20,6 +20,7 @@ _VOLTAGE = slice(1, 2)
 _TORQUE = slice(2, 3)
 _SPEED = slice(3, 4)
 _HELD = slice(4, 5)
+_MOMENT = slice(5, 6)
 
 
 def seconds(duration_ns: int) -> float:
@@ -46,7 +47,10 @@ class Sample(NamedTuple):
         speed_rad_s: shape (motor,): measured speed at the stamp; NaN where none is measured.
         present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays
             hold of the others is not to be used.
-        held_v: shape (motor,): voltage in force just before the stamp; None: it is not told.
+        held_v: shape (motor,): voltage in force just before the stamp; None: it is not told, as of
+            motors that are computed together.
+        moment_v: shape (motor,): first moment of the voltage about the middle of the interval, in V
+            (:meth:`HeldVoltage.moment`); None: it is not told.
     """
 
     stamp_ns: int
@@ -56,6 +60,7 @@ class Sample(NamedTuple):
     speed_rad_s: Array
     present: NDArray[np.bool_] | None = None
     held_v: Array | None = None
+    moment_v: Array | None = None
 
     def beginning(self, motors: NDArray[np.bool_] | None = None) -> Sample:
         """Return the sample as the first of a history, of some motors or all: interval none."""
@@ -88,15 +93,17 @@ class Sample(NamedTuple):
         torque_nm: float,
         speed_rad_s: float = np.nan,
         held_v: float | None = None,
+        moment_v: float = 0.0,
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
         end_v = voltage_v if held_v is None else held_v
-        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s, end_v), dtype=float)
+        signals = (interval_s, voltage_v, torque_nm, speed_rad_s, end_v, moment_v)
+        values = np.array(signals, dtype=float)
         # As cls(...) does, without the call that every sample would pay for.
         return tuple.__new__(
             cls,
             (
                 stamp_ns, values[_INTERVAL], values[_VOLTAGE], values[_TORQUE], values[_SPEED],
-                None, values[_HELD],
+                None, values[_HELD], values[_MOMENT],
             ),
         )  # fmt: skip

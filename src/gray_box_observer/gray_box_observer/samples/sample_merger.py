@@ -204,12 +204,12 @@ class SampleMerger:
                 number(span, 'volt_seconds', -LARGEST, LARGEST),
                 whole(span, 'stamp_ns', -LATEST_NS, LATEST_NS),
                 number(span, 'torque_nm', -LARGEST_SIGNAL, LARGEST_SIGNAL),
-                _held(span),
+                _end_voltage_of(span),
             )
         return merger
 
 
-def _held(span: Mapping[str, Any]) -> float:
+def _end_voltage_of(span: Mapping[str, Any]) -> float:
     """Return the voltage in force at the end of a saved span; early releases saved the mean."""
     if 'held_v' in span:
         return number(span, 'held_v', -LARGEST_SIGNAL, LARGEST_SIGNAL)

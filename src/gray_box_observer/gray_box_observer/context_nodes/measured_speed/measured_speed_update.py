@@ -146,7 +146,7 @@ class MeasuredSpeedUpdate:
         )
         self.published_mechanics = PublishedMechanics(white_box, mechanics)
         self._comparison = SpeedComparison(white_box, self._exact, self._outputs)
-        self._samples = ReplayBuffer(1, 1, voltage_held=True)
+        self._samples = ReplayBuffer(1, 1, with_moves=True)
         self._shares = np.zeros((2, len(white_box.context_nodes)))
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False

@@ -93,9 +93,9 @@ def _largest_bend(white_box: MotorWhiteBox, history: History, states: Array) -> 
     moves.
     """
     most_v = float(white_box.known['back_emf_constant']) * np.abs(np.diff(states[:, State.SPEED]))
-    if history.parts is None or history.held_v is None:
+    if history.parts is None:
         return np.asarray(most_v)
-    return np.asarray(most_v + np.where(history.parts.is_cut, np.abs(np.diff(history.held_v)), 0.0))
+    return np.asarray(most_v + history.parts.range_v)
 
 
 def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:
@@ -107,6 +107,6 @@ def remembering(samples: Array, place: int, begin: int) -> ReplayBuffer:
         begin: place before the oldest sample that counts.
     """
     count = samples.shape[1]
-    buffer = ReplayBuffer(1, count, voltage_held=True)
+    buffer = ReplayBuffer(1, count, with_moves=True)
     buffer.refill(samples[:, None], dropped_count=place - count, begin=max(begin, place - count))
     return buffer

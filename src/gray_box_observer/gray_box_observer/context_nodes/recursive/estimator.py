@@ -97,7 +97,7 @@ class RecursiveEstimator:
             motors,
             self._rules.replay_capacity,
             speed_measured=white_box.speed_measured,
-            voltage_held=motors == 1,  # of one that goes over to a rotor
+            with_moves=motors == 1,  # of one that goes over to a rotor
         )
         self._changes = ChangeTracker(white_box.parameters, self._rules)
         self._regular = RegularEstimates(white_box.parameters, motors)

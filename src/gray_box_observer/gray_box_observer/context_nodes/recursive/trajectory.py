@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import interval_motion
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import FEWEST_SIGNALS, ReplayBuffer, held_voltage
+from gray_box_observer.samples.replay_buffer import FEWEST_SIGNALS, ReplayBuffer, moves_of
 from gray_box_observer.white_box.declaration import COMPILED, State
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -90,6 +90,7 @@ class SampleWindow:
         speed_rad_s: shape (motor, k + 1).
         restart: shape (motor, k): where the signal history starts anew.
         held_v: shape (motor, k + 1): voltage in force at every sample; None: it is not told.
+        moment_v: shape (motor, k + 1): first moment over the interval before it; None likewise.
     """
 
     state: Array
@@ -98,6 +99,7 @@ class SampleWindow:
     speed_rad_s: Array
     restart: NDArray[np.bool_]
     held_v: Array | None = None
+    moment_v: Array | None = None
 
     @cached_property
     def is_regular(self) -> bool:
@@ -130,9 +132,9 @@ class SampleWindow:
         voltage = self.voltage_v[index]
         interval = self.interval_s[index]
         speed = self.speed_rad_s[index]
-        held_v = None if self.held_v is None else self.held_v[index]
         restart = self.restart[index]
-        return SampleWindow(self.state[index], voltage, interval, speed, restart, held_v)
+        moves = (None if one is None else one[index] for one in (self.held_v, self.moment_v))
+        return SampleWindow(self.state[index], voltage, interval, speed, restart, *moves)
 
     def part(self, begin: int, end: int) -> SampleWindow:
         """Return samples ``begin`` ... ``end`` as a stretch."""
@@ -145,6 +147,7 @@ class SampleWindow:
             self.speed_rad_s[:, samples],
             self.restart[:, between],
             None if self.held_v is None else self.held_v[:, samples],
+            None if self.moment_v is None else self.moment_v[:, samples],
         )
 
     @classmethod
@@ -182,7 +185,7 @@ class SampleWindow:
             interval,
             speed,
             restart,
-            held_voltage(content),
+            *moves_of(content),
         )
 
 

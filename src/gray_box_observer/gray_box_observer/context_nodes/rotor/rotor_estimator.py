@@ -117,7 +117,7 @@ class RotorUpdate:
         self._learner.noise_memory = noise_memory
         capacity = max(self._rules.replay_capacity, WINDOW)
         self.replay = ReplayBuffer(
-            1, capacity, speed_measured=self._learner.speed_measured, voltage_held=True
+            1, capacity, speed_measured=self._learner.speed_measured, with_moves=True
         )
         merges = merges_held and not self._learner.speed_measured
         self._merger = SampleMerger() if merges else None

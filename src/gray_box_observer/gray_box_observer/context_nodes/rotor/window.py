@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes.rotor.history_unknowns import (
 from gray_box_observer.context_nodes.rotor.voltage_parts import VoltageParts
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median
-from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, held_voltage
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE, moves_of
 from gray_box_observer.samples.voltage_level import noise_range
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -55,6 +55,7 @@ class History:
         speed_rad_s: shape (k + 1,): measured; None where it is not looked at.
         place: of its first sample among those that the window was made of.
         held_v: shape (k + 1,): voltage in force at every sample; None: it is not told.
+        moment_v: shape (k,): first moment of the voltage over every interval; None likewise.
     """
 
     current_a: Array
@@ -63,13 +64,16 @@ class History:
     speed_rad_s: Array | None = None
     place: int = 0
     held_v: Array | None = None
+    moment_v: Array | None = None
 
     @cached_property
     def parts(self) -> VoltageParts | None:
         """Parts of intervals with a constant voltage; None where it moves within none."""
-        if self.held_v is None:
+        if self.held_v is None or self.moment_v is None:
             return None
-        return VoltageParts.of_intervals(self.voltage_v, self.interval_s, self.held_v)
+        return VoltageParts.of_intervals(
+            self.voltage_v, self.interval_s, self.held_v, self.moment_v
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +113,7 @@ class Window:
         current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
         begins = np.flatnonzero(samples[INTERVAL] <= 0.0)
         edges = sorted({0, *begins.tolist(), current.size})
-        held_v = held_voltage(samples)
+        held_v, moment_v = moves_of(samples)
         result = [
             History(
                 current[begin:end],
@@ -118,6 +122,7 @@ class Window:
                 samples[SPEED, begin:end] if has_speed else None,
                 int(places[begin]),
                 held_v[begin:end],
+                moment_v[begin + 1 : end],
             )
             for begin, end in pairwise(edges)
             if end - begin >= FEWEST
@@ -208,6 +213,7 @@ class Window:
             last.interval_s[1 - keep :],
             None if last.speed_rad_s is None else last.speed_rad_s[-keep:],
             held_v=None if last.held_v is None else last.held_v[-keep:],
+            moment_v=None if last.moment_v is None else last.moment_v[1 - keep :],
         )
         return Window((part,), self.unknowns, keep + behind)
 
@@ -218,6 +224,7 @@ class Window:
                 one,
                 voltage_v=delayed_voltage(one.voltage_v, one.interval_s, delay_s),
                 held_v=None,
+                moment_v=None,
             )
             for one in self.histories
         ]
