@@ -237,6 +237,10 @@ def test_a_rotor_has_context_nodes_of_its_own() -> None:
             {'motor__context_nodes': ['inductance', 'resistance']},
             'motor motor: speed_source is rotor, but inertia is not among context_nodes',
         ),
+        (
+            {'motor__delay': 'estimate', 'motor__known__dead_zone': 0.5},
+            'behind a dead zone cannot be estimated; declare it with motor.delay',
+        ),
         ({'motor__back_emf_constant': 0.0}, 'motor.back_emf_constant must be positive'),
         ({'context_update': 'gradient'}, 'speed_source rotor needs context_update recursive'),
         (

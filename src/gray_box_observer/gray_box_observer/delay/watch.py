@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
+from gray_box_observer.context_nodes.rotor.window_learner import FEWEST_MOVES
 from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
-from gray_box_observer.delay.hidden_rotor_delay import HiddenRotorSearch
+from gray_box_observer.delay.hidden_rotor_delay import NEWEST, HiddenRotorSearch
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import LARGEST, entry, number, number_or_none, whole
@@ -38,6 +39,9 @@ FIRST_OF_ROTOR, FIRST_OF_MISFIT = 256, 1024
 and of another misfit, for most are soon explained without."""
 
 LONGEST_WAIT = 1024
+
+LONGEST_ROTOR_WAIT = 8192
+"""Samples between two searches by the physics of a hidden rotor that bring nothing new, at most."""
 
 LONGEST_DELAY_S = 0.5
 LONGEST_LEAD_S = 0.1
@@ -150,6 +154,7 @@ class _Progress:
         count: samples of it.
         ask_at: count from which it is asked next.
         refine_at: count before which no fine search follows one in vain.
+        ask_rotor_at: count before which the physics of a hidden rotor is not asked again.
         is_put_off: whether the last piece of work has waited for a result to go out.
         work: the search under way.
         before: outcome of the search before, where the next one has to agree with it.
@@ -159,6 +164,7 @@ class _Progress:
     count: int = 0
     ask_at: int = FIRST
     refine_at: int = 0
+    ask_rotor_at: int = 0
     is_put_off: bool = False
     work: Generator[None, None, _Found | None] | None = None
     before: _Found | None = None
@@ -376,9 +382,10 @@ class DelayWatch:
         """Search by the physics of the whole motor, which costs most: ever more rarely in vain."""
         assert self._hidden_rotor is not None
         first = FIRST_OF_ROTOR if self.estimate.is_estimated else FIRST_OF_MISFIT
-        if self._progress.count < max(self._progress.refine_at, first):
+        progress = self._progress
+        if progress.count < max(progress.ask_rotor_at, first) or not _moves(signals):
             return None
-        self._progress.refine_at = 2 * self._progress.count  # unless it brings news
+        progress.ask_rotor_at = progress.count + min(progress.count, LONGEST_ROTOR_WAIT)
         rotor = self._hidden_rotor
         search = HiddenRotorSearch(
             rotor.white_box, rotor.initial, signals, restart, interval_s, reach_s
@@ -443,6 +450,7 @@ class DelayWatch:
         )
         if before is None or abs(result.delay_s - before.delay_s) > near_s:
             self._progress.refine_at = 0  # what is news is asked again soon
+            self._progress.ask_rotor_at = 0
             if estimate.verdict is not DelayVerdict.UNDECLARED:
                 self.estimate = replace(estimate, verdict=DelayVerdict.SUSPECTED)
             return None
@@ -498,6 +506,19 @@ class DelayWatch:
         self._dropped_count = 0
         return applied_s
 
+    def take_over(self, other: DelayWatch) -> None:
+        """Go on with the delay that another form of the motor has found and applied.
+
+        Args:
+            other: its watch. What was declared stays so, and is asked anew.
+        """
+        if not (self.estimate.is_estimated and other.estimate.is_estimated):
+            return
+        self.estimate = other.estimate
+        self._applied_std_s = other._applied_std_s
+        self._dropped_count = other._dropped_count + other._progress.count
+        self._progress = _Progress(other._progress.restarts)
+
     def estimate_of(self, motor: int) -> DelayEstimate:
         """Return what is known of a motor; there is one, at place 0."""
         return self.estimate
@@ -549,3 +570,10 @@ class DelayWatch:
             DelayVerdict[word],
             applied_std_s or 0.0,
         )
+
+
+def _moves(signals: RawSignals) -> bool:
+    """Tell whether the voltage has moved often enough to tell the delay of a hidden rotor."""
+    begin_s = float(signals.time_s[-NEWEST:][0])
+    voltage_v = signals.voltage_v[signals.voltage_time_s >= begin_s]
+    return len(set(voltage_v.tolist())) > FEWEST_MOVES

@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes import (
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.context_nodes.update_rule import learn_at_once
-from gray_box_observer.delay import DelayEstimate, DelayRound
+from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.form_choice import FormChoice
@@ -36,6 +36,10 @@ from gray_box_observer.white_box.interface import Array
 
 if TYPE_CHECKING:  # loaded where something is predicted
     from gray_box_observer.predictor import AlarmSettings, Forecasting, Prediction, ResidualAlarm
+
+
+MOST_AT_ONCE = 2048
+"""Newest samples that a rotor is learnt of anew, at once, where its delay was found."""
 
 
 @dataclass(slots=True, eq=False)
@@ -271,6 +275,8 @@ class MotorObserver:
         if form is None:
             return
         self.close()
+        if isinstance(form.delay, DelayWatch) and isinstance(self.delay, DelayWatch):
+            form.delay.take_over(self.delay)
         self._use(form)
         self._retests[0] = True
         if self._live_settings is not None:
@@ -479,7 +485,10 @@ class MotorObserver:
         samples = [self._follow_path(sample) for sample in samples]
         content = ReplayBuffer.from_samples(samples).content()
         if isinstance(context_nodes, RotorUpdate):
-            completed(context_nodes.learn_remembered(content, samples[-1].stamp_ns))
+            if self._fit.assessment(0).verdict is not FitVerdict.MISFIT:
+                context_nodes.begin_at(self._belief.theta)
+            newest = content[:, :, -MOST_AT_ONCE:]
+            completed(context_nodes.learn_remembered(newest, samples[-1].stamp_ns))
         else:
             learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes

@@ -404,6 +404,11 @@ def _check_rotor(motor: MotorConfiguration) -> None:
         )
     if not motor.has_rotor:
         return
+    if motor.estimates_delay and motor.has_value(DEAD_ZONE):
+        raise ConfigurationError(
+            f'motor {name}: the delay of a rotor behind a dead zone cannot be estimated; declare '
+            f'it with {name}.delay in s'
+        )
     if not values['back_emf_constant'] > 0.0:
         raise ConfigurationError(
             f'motor {name}: speed_source is rotor, so {name}.back_emf_constant must be positive'
