@@ -137,6 +137,31 @@ def test_a_delay_that_is_to_be_estimated_is_found_and_applied(source: str) -> No
     _check_known(observer, 'inductance', 'resistance')
 
 
+def test_the_delay_that_is_told_is_the_one_that_samples_are_paired_by() -> None:
+    observer = _observer(delay='estimate')
+    sources = []
+    for place in range(3000):
+        _fed(observer, LATE, begin=place, end=place + 1)
+        if 'motor' in observer.motors:
+            pairing = observer.group_of('motor').pairing
+            told_s = observer.delays()['motor'].applied_s
+            assert round(told_s * 1e9) == pairing.delay_ns
+            sources.append(observer.motors['motor'].white_box.speed_source)
+    assert sources[0] == 'torque_constant'
+    assert sources[-1] == 'rotor'
+
+
+@pytest.mark.parametrize('stood', [1500, 6000])
+def test_a_motor_that_has_stood_is_asked_as_soon_as_it_moves(stood: int) -> None:
+    observer = _observer(delay='estimate', speed_source='rotor')
+    for place in range(stood):
+        stamp_ns = (place - stood) * 1_000_000
+        observer.voltage('motor', stamp_ns, 0.0)
+        observer.torque('motor', stamp_ns, 3e-4 * (-1.0) ** (place // 2))
+    _fed(observer, LATE)
+    assert observer.delays()['motor'].applied_s == pytest.approx(DELAY_S, abs=0.05 * INTERVAL_S)
+
+
 def test_an_undeclared_delay_is_told_with_its_remedy_and_nothing_is_believed() -> None:
     observer = _fed(_observer(), LATE)
     delay = observer.delays()['motor']
