@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from rotor_records import CONSTANTS, GEAR_MOTOR, STEPS, recorded_in_steps
 
+from dc_motor_sim.simulation import Simulation
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.delay import DelayVerdict, hidden_rotor_delay, watch
@@ -96,6 +98,35 @@ def test_what_no_delay_explains_tells_none() -> None:
         signals.time_s, torque_nm, signals.speed_rad_s, signals.voltage_time_s, signals.voltage_v
     )
     assert _found(noisy) is None
+
+
+def test_a_driver_that_filters_its_voltage_is_not_told_a_delay() -> None:
+    rng = np.random.default_rng(8)
+    levels_v = [np.full(n, rng.uniform(-12.0, 12.0)) for n in rng.integers(30, 300, 99)]
+    voltage_v = np.concatenate(levels_v)[:2200]
+    plant = replace(GEAR_MOTOR, inductance=6e-4)  # L/R of 0.3 intervals behind a lag of 1.5
+    simulation = Simulation(
+        {'motor': plant}, 'external', seed=6, sample_rate_hz=1e3 * STEPS,
+        torque_noise_std=3e-4, speed_mode='rotor',
+    )  # fmt: skip
+    torques_nm = []
+    filtered_v = 0.0
+    for step in range(voltage_v.size * STEPS):
+        filtered_v += -np.expm1(-1.0 / (1.5 * STEPS)) * (voltage_v[step // STEPS] - filtered_v)
+        simulation.command('motor', float(filtered_v))
+        torque_nm = float(simulation.step().torque_nm[0])
+        if step % STEPS == 0:
+            torques_nm.append(torque_nm)
+    time_s = INTERVAL_S * np.arange(voltage_v.size)
+    keep = slice(100, 2100)
+    signals = RawSignals(
+        time_s[keep] - time_s[keep][-1],
+        np.array(torques_nm)[keep],
+        np.full(2000, np.nan),
+        time_s - time_s[keep][-1],
+        voltage_v,
+    )
+    assert _found(signals) is None
 
 
 def _fed(observer: Observer, late: int, begin: int = 0, end: int = 3000) -> Observer:

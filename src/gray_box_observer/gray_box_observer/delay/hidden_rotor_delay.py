@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
@@ -66,6 +67,24 @@ NEAR, NEAR_STDS = 0.002, 0.1
 
 SIDE = 0.05
 """Sample intervals to either side, over which the current is differentiated by the delay."""
+
+FILTER_SHARES = (0.9, 1.0, 1.05)
+"""Time constants of filters that are compared, over the L/R that was found."""
+
+FILTER_STEPS = 8
+"""Steps of a voltage behind a filter in a sample interval."""
+
+SETTLED = 8.0
+"""Time constants of a filter before the first sample, in which it forgets where it began."""
+
+FAST_SHARE = 0.15
+"""L/R behind a filter from which a fit begins, over the one that was found."""
+
+NEARLY_WHOLE = 0.1
+"""Sample intervals by which a delay may lie below a whole number of them, and be that."""
+
+RIVAL_EVIDENCE = 15.0
+"""Log-likelihood by which a filter has to be worse."""
 
 LEAST_SIZE = 1e-9
 """Size of a direction in which the unknowns move the current, over the largest, at least."""
@@ -151,6 +170,8 @@ class HiddenRotorSearch:
         if end is None:
             return None
         delay_s, std_s, best = end
+        if (yield from self._has_rival(delay_s, best)):
+            return None
         gain = math.inf
         for start in (best, *(fit for other_s, fit in coarse if other_s == applied_s)):
             fit = yield from self._fit(applied_s, start)
@@ -187,13 +208,19 @@ class HiddenRotorSearch:
                 yield
         return best[1]
 
-    def _window(self, delay_s: float) -> Window:
-        """Return the samples, with a voltage that acts so much later than it is stamped."""
+    def _window(self, delay_s: float, signals: RawSignals | None = None) -> Window:
+        """Return the samples, with a voltage that acts so much later than it is stamped.
+
+        Args:
+            delay_s: by how much.
+            signals: with another voltage; None: that of the stretch.
+        """
+        signals = signals or self._signals
         time_s = self._signals.time_s
         interval_s = np.diff(time_s)
         samples = np.zeros((MOMENT + 1, time_s.size))
         samples[INTERVAL, 1:] = np.where(self._restart, 0.0, interval_s)
-        mean_v, moment_v, held_v = self._signals.between(time_s - delay_s)
+        mean_v, moment_v, held_v = signals.between(time_s - delay_s)
         samples[VOLTAGE, 1:] = mean_v
         samples[TORQUE] = self._signals.torque_nm
         samples[HELD_VOLTAGE] = held_v
@@ -205,6 +232,47 @@ class HiddenRotorSearch:
         search = Search(self._white_box, self._window(delay_s), self._prior, near.logarithms)
         search.looks_for_noise = False
         return (yield from _paced(_descended(search)))
+
+    def _has_rival(self, delay_s: float, best: Fit) -> Generator[None, None, bool]:
+        """Tell whether a filter explains the signals about as well as winding and delay do.
+
+        A filter lags as a winding does, and the winding behind it comes late as by a delay of a
+        part of an interval. R and L are far off where one is taken for the other.
+
+        Args:
+            delay_s: that was found.
+            best: fit under it.
+        """
+        values = self._white_box.values(best.theta)
+        winding_s = values['inductance'] / values['resistance']
+        place = self._white_box.context_nodes.index('inductance')
+        logarithms = best.logarithms.copy()
+        logarithms[place] += math.log(FAST_SHARE)
+        whole_s = math.floor(delay_s / self._interval_s + NEARLY_WHOLE) * self._interval_s
+        for share in FILTER_SHARES:
+            signals = self._behind_filter(share * winding_s)
+            for other_s in (whole_s, delay_s):
+                window = self._window(other_s, signals)
+                search = Search(self._white_box, window, self._prior, logarithms)
+                search.looks_for_noise = False
+                fit = yield from _paced(_descended(search))
+                if fit is not None and _evidence(best, fit) < RIVAL_EVIDENCE:
+                    return True
+        return False
+
+    def _behind_filter(self, lag_s: float) -> RawSignals:
+        """Return the signals with a voltage behind a filter of first order, in short steps."""
+        signals = self._signals
+        step_s = self._interval_s / FILTER_STEPS
+        begin_s = float(signals.time_s[0]) - self._reach_s[1] - SETTLED * lag_s
+        grid_s = np.arange(begin_s, float(signals.time_s[-1]) - self._reach_s[0], step_s)
+        volts, _, held_v = signals.between(grid_s)
+        remainder = math.exp(-step_s / lag_s)
+        factor = np.full((1, volts.size), remainder)
+        inputs = (1.0 - remainder) * volts[None, None]
+        ends_v = recurrence(factor, inputs, np.array([[held_v[0]]]))[0, 0]
+        means_v = volts + (ends_v[:-1] - volts) * (1.0 - remainder) * lag_s / step_s
+        return replace(signals, voltage_time_s=grid_s[:-1], voltage_v=means_v)
 
     def _settled(
         self, delay_s: float, near: Fit

@@ -100,6 +100,13 @@ class Projection:
         self.residual: Array = residual * self._root
         self.remainder: Array = self.without(self.residual)
 
+    def beside(self, signals: Array) -> Projection:
+        """Return the same with further columns free, shape (column, sample)."""
+        root = np.maximum(self._root, 1e-300)[:, None]
+        base = np.column_stack([self._q @ (self._r * self._scale) / root, signals.T])
+        residual = self.residual / root[:, 0]
+        return Projection(base, residual, self._root**2, self._unknowns)
+
     def with_weight(self, signals: Array) -> Array:
         """Return signals, shape (..., sample), by what the samples count."""
         return np.asarray(signals * self._root)

@@ -57,6 +57,8 @@ from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.smoothed_current import shows_colour, smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
 from gray_box_observer.fit_test.stamp_errors import (
+    DELAY,
+    INSTANT,
     StampErrors,
     beside_measured_speed,
     stamp_amounts,
@@ -221,6 +223,7 @@ def analysis_in_pieces(
     *,
     speed_is_guess: bool = False,
     knows_voltage_noise: bool = False,
+    may_be_filtered: bool = False,
 ) -> Pieces[ResidualAnalysis]:
     """Analyse the free run of one motor.
 
@@ -238,6 +241,8 @@ def analysis_in_pieces(
             that acts late; None: nothing.
         speed_is_guess: whether a rotor may turn though the speed is taken for Kt i.
         knows_voltage_noise: whether the fit has taken off what noise of the voltage does.
+        may_be_filtered: whether the winding, with a delay that is estimated, may be a filter that
+            nobody has looked for.
     """
     work = stretch.state.size
     run_residual = yield from fitted_residual_in_pieces(
@@ -313,9 +318,12 @@ def analysis_in_pieces(
         ),
     ]
     yield work
-    has_colour = white_box.has_rotor and shows_colour(run)
+    has_colour = white_box.has_rotor and (may_be_filtered or shows_colour(run))
+    free_projection = projection
+    if may_be_filtered:  # the delay, which is estimated, may be a part of what a filter does
+        free_projection = projection.beside(np.stack([responses_a[DELAY], responses_a[INSTANT]]))
     smoothing_shifts = [
-        projection.open_shift(doubt, noise_a, is_white=is_white)
+        free_projection.open_shift(doubt, noise_a, is_white=is_white)
         for doubt in smoothing_doubts(white_box, run, theta, intervals, has_colour=has_colour)
     ]
     yield work

@@ -233,6 +233,7 @@ class WindowTest:
                 motor.late_instant,
                 speed_is_guess=self._speed_is_guess,
                 knows_voltage_noise=motor.knows_voltage_noise,
+                may_be_filtered=self.configuration.estimates_delay,
             )
         )
         yield count
