@@ -27,4 +27,4 @@ def test_a_voltage_that_moves_between_samples_is_stamped_when_it_moves() -> None
     assert case.phase == 0.3
     assert run_driver(case, 300).is_near
     unstamped = replace(case, phase=0.0, late=0.3)
-    assert run_driver(unstamped, 300) != run_driver(case, 300)
+    assert run_driver(unstamped, 300).claims < run_driver(case, 300).claims

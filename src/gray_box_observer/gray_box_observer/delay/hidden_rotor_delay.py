@@ -203,7 +203,8 @@ class HiddenRotorSearch:
             pair = pair - directions @ (directions.T @ pair)
             gain = rest_a @ pair
             power_a2 = float(gain @ np.linalg.lstsq(pair.T @ pair, gain, rcond=1e-9)[0])
-            best = max(best, (power_a2, delay_s))
+            if power_a2 > best[0]:
+                best = power_a2, delay_s
             if shift % SHIFTS_A_PIECE == 0:
                 yield
         return best[1]

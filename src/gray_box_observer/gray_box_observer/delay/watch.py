@@ -214,7 +214,6 @@ class DelayWatch:
         self._hidden_rotor = hidden_rotor
         self._is_misfit = False
         self._white_box = white_box
-        self._applied_std_s = math.inf
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
         self.estimate = DelayEstimate(applied_s, is_estimated)
@@ -261,8 +260,8 @@ class DelayWatch:
         self._is_misfit = is_misfit
         progress = self._progress
         progress.count += samples
-        if self._white_box.has_rotor and not (is_misfit or estimate.is_estimated):
-            progress.work = None
+        is_asked = is_misfit or estimate.is_estimated or not self._white_box.has_rotor
+        if progress.work is None and not is_asked:
             return None
         progress.is_put_off = is_awaited and not progress.is_put_off
         if progress.is_put_off:
@@ -480,7 +479,7 @@ class DelayWatch:
             )
             return None
         sharper = (
-            result.std_s < 0.5 * self._applied_std_s
+            result.std_s < 0.5 * (self.estimate.applied_std_s or math.inf)
             and abs(result.delay_s - self.estimate.applied_s) > result.std_s
         )
         if (
@@ -502,7 +501,6 @@ class DelayWatch:
         self.estimate = DelayEstimate(
             applied_s, True, result.delay_s, result.std_s, DelayVerdict.ESTIMATED, result.std_s
         )
-        self._applied_std_s = result.std_s
         self._dropped_count = 0
         return applied_s
 
@@ -515,7 +513,6 @@ class DelayWatch:
         if not (self.estimate.is_estimated and other.estimate.is_estimated):
             return
         self.estimate = other.estimate
-        self._applied_std_s = other._applied_std_s
         self._dropped_count = other._dropped_count + other._progress.count
         self._progress = _Progress(other._progress.restarts)
 
@@ -531,7 +528,7 @@ class DelayWatch:
             'value_s': None if math.isnan(estimate.value_s) else estimate.value_s,
             'std_s': None if math.isnan(estimate.std_s) else estimate.std_s,
             'verdict': estimate.verdict.name,
-            'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
+            'applied_std_s': estimate.applied_std_s or None,
             'learnt': self._dropped_count + self._progress.count,
             'interval_s': None if math.isnan(self._interval_s) else self._interval_s,
         }
@@ -558,7 +555,6 @@ class DelayWatch:
             )
         if not self.estimate.is_estimated and applied_s != self.estimate.applied_s:
             return
-        self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
         self._dropped_count = learnt_count
         self._interval_s = interval_s or math.nan  # 0 is no interval
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))

@@ -133,8 +133,8 @@ def _form(
     def watch(motor: int) -> DelayWatch:
         initial = np.array([motors[motor].initial()])
         estimates_delay = first.estimates_delay
-        is_declared = first.current_lag is not None or motors[motor].coasts
-        is_declared |= boxes[motor].has_rotor and bool(first.added_effects)
+        has_effects = boxes[motor].has_rotor and bool(first.added_effects)
+        is_declared = has_effects or first.current_lag is not None or motors[motor].coasts
         kind_of_watch = DeclaredDelay if is_declared else DelayWatch
         return kind_of_watch(
             boxes[motor],

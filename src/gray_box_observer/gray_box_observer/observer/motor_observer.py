@@ -108,13 +108,18 @@ class MotorObserver:
             self._belief, form.fit.schedule, form.delay, self._know, self._note_test
         )
         self._forecasting = form.make_forecasting()
-        self._speed: SpeedTracking | None = None
-        if isinstance(form.context_nodes, RotorUpdate):
-            is_late = form.voltage_path is not None and form.voltage_path.has_lag
-            self._speed = SpeedTracking(form.white_box, form.context_nodes, is_late=is_late)
         self._forecast_ahead: tuple[bytes, Prediction] | None = None
         self._voltage_path = form.voltage_path
+        self._speed = self._new_speed_tracking()
         self._know(self._believed())
+
+    def _new_speed_tracking(self) -> SpeedTracking | None:
+        """Return what follows the speed of a motor with a rotor; None of another one."""
+        nodes = self.context_nodes
+        if not isinstance(nodes, RotorUpdate):
+            return None
+        is_late = self._voltage_path is not None and self._voltage_path.has_lag
+        return SpeedTracking(self.white_box, nodes, is_late=is_late)
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -493,8 +498,7 @@ class MotorObserver:
             learn_at_once(context_nodes, content, samples[-1])
         self.context_nodes = self._belief.context_nodes = context_nodes
         self.form_choice.begin_anew(context_nodes)
-        if isinstance(context_nodes, RotorUpdate):
-            self._speed = SpeedTracking(self.white_box, context_nodes)
+        self._speed = self._new_speed_tracking()
         forecasting = self._forecasting
         if forecasting is not None:
             forecasting.training.refill(content)
