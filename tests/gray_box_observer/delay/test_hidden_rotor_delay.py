@@ -129,6 +129,15 @@ def test_a_driver_that_filters_its_voltage_is_not_told_a_delay() -> None:
     assert _found(signals) is None
 
 
+def test_two_levels_are_moves_enough_and_one_step_is_none() -> None:
+    signals = _signals(0)
+    square_v = np.where(np.arange(signals.voltage_v.size) // 100 % 2, 6.0, -6.0)
+    step_v = np.where(np.arange(signals.voltage_v.size) < 600, 6.0, -6.0)
+    volts = (square_v, step_v)
+    moves = [watch._moves(replace(signals, voltage_v=voltage_v)) for voltage_v in volts]
+    assert moves == [True, False]
+
+
 def _fed(observer: Observer, late: int, begin: int = 0, end: int = 3000) -> Observer:
     record = recorded_in_steps(late)
     for place in range(begin, end):

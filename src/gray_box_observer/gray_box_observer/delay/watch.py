@@ -41,7 +41,8 @@ and of another misfit, for most are soon explained without."""
 LONGEST_WAIT = 1024
 
 LONGEST_ROTOR_WAIT = 8192
-"""Samples between two searches by the physics of a hidden rotor that bring nothing new, at most."""
+"""Samples between two searches by the physics of a hidden rotor that bring nothing new, at most,
+while its delay is not settled."""
 
 LONGEST_DELAY_S = 0.5
 LONGEST_LEAD_S = 0.1
@@ -384,7 +385,9 @@ class DelayWatch:
         progress = self._progress
         if progress.count < max(progress.ask_rotor_at, first) or not _moves(signals):
             return None
-        progress.ask_rotor_at = progress.count + min(progress.count, LONGEST_ROTOR_WAIT)
+        is_settled = self.estimate.verdict is DelayVerdict.ESTIMATED and not self._is_misfit
+        longest = progress.count if is_settled else LONGEST_ROTOR_WAIT
+        progress.ask_rotor_at = progress.count + min(progress.count, longest)
         rotor = self._hidden_rotor
         search = HiddenRotorSearch(
             rotor.white_box, rotor.initial, signals, restart, interval_s, reach_s
@@ -572,4 +575,4 @@ def _moves(signals: RawSignals) -> bool:
     """Tell whether the voltage has moved often enough to tell the delay of a hidden rotor."""
     begin_s = float(signals.time_s[-NEWEST:][0])
     voltage_v = signals.voltage_v[signals.voltage_time_s >= begin_s]
-    return len(set(voltage_v.tolist())) > FEWEST_MOVES
+    return bool(np.count_nonzero(np.diff(voltage_v)) >= FEWEST_MOVES)
