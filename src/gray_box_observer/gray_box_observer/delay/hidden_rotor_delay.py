@@ -3,8 +3,8 @@
 A back-EMF that nobody measures explains a shifted voltage as well as any other, so the balance of
 the winding tells no delay (:mod:`~gray_box_observer.delay.coarse`). The whole motor does: a voltage
 moves the current at once, and the rotor behind it. A linear recurrence says where about the delay
-is, and fits of the free run say it to a part of a sample interval (docs/METHOD.md, The delay
-between voltage and torque).
+is, and fits of the free run say it to a part of a sample interval
+(docs/METHOD.md, The delay between voltage and torque).
 """
 
 from __future__ import annotations
