@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import own_time
+import pytest
 from common.driver_runs import run_driver
 from common.motor_trial import MotorTrial
 
@@ -21,6 +22,7 @@ def test_figures_leave_out_drivers_whose_delay_nobody_tells() -> None:
     assert known_share.value == 50.0
 
 
+@pytest.mark.slow
 def test_a_voltage_that_moves_between_samples_is_stamped_when_it_moves() -> None:
     cases = own_time.cases(2.0)
     case = cases['no speed', 'moves 0.3 intervals after them'][1]

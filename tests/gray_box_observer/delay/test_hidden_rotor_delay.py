@@ -61,6 +61,7 @@ def _found(signals: RawSignals, applied_s: float = 0.0) -> HiddenRotorDelay | No
             return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('late', [2, LATE, 40])
 def test_a_delay_is_told_to_a_part_of_an_interval(late: int) -> None:
     result = _found(_signals(late))
@@ -169,6 +170,7 @@ def _check_known(observer: Observer, *names: str) -> None:
         assert abs(off) < 3.0 * float(estimate.std[0, place])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('source', ['auto', 'rotor'])
 def test_a_delay_that_is_to_be_estimated_is_found_and_applied(source: str) -> None:
     observer = _fed(_observer(delay='estimate', speed_source=source), LATE)
@@ -177,6 +179,7 @@ def test_a_delay_that_is_to_be_estimated_is_found_and_applied(source: str) -> No
     _check_known(observer, 'inductance', 'resistance')
 
 
+@pytest.mark.slow
 def test_the_delay_that_is_told_is_the_one_that_samples_are_paired_by() -> None:
     observer = _observer(delay='estimate')
     sources = []
@@ -191,6 +194,7 @@ def test_the_delay_that_is_told_is_the_one_that_samples_are_paired_by() -> None:
     assert sources[-1] == 'rotor'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('stood', [1500, 6000])
 def test_a_motor_that_has_stood_is_asked_as_soon_as_it_moves(stood: int) -> None:
     observer = _observer(delay='estimate', speed_source='rotor')
@@ -202,6 +206,7 @@ def test_a_motor_that_has_stood_is_asked_as_soon_as_it_moves(stood: int) -> None
     assert observer.delays()['motor'].applied_s == pytest.approx(DELAY_S, abs=0.05 * INTERVAL_S)
 
 
+@pytest.mark.slow
 def test_an_undeclared_delay_is_told_with_its_remedy_and_nothing_is_believed() -> None:
     observer = _fed(_observer(), LATE)
     delay = observer.delays()['motor']
@@ -211,6 +216,7 @@ def test_an_undeclared_delay_is_told_with_its_remedy_and_nothing_is_believed() -
     assert Verdict.IDENTIFIED not in observer.estimates()['motor'].verdicts[0]
 
 
+@pytest.mark.slow
 def test_a_punctual_rotor_that_fits_is_never_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     asked_at: list[float] = []
     run = HiddenRotorSearch.run
@@ -225,6 +231,7 @@ def test_a_punctual_rotor_that_fits_is_never_asked(monkeypatch: pytest.MonkeyPat
     assert asked_at == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('cut', [700, 1500])
 def test_a_restored_motor_goes_on_with_its_delay(tmp_path: Path, cut: int) -> None:
     first = _fed(_observer(delay='estimate'), LATE, end=cut)

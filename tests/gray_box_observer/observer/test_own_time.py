@@ -23,6 +23,7 @@ def _observed(phase: int) -> Observer:
     return observer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('phase', [1, 3])
 def test_a_motor_whose_voltage_moves_between_samples_is_known_as_well(phase: int) -> None:
     observer = _observed(phase)
