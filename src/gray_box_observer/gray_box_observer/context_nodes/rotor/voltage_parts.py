@@ -58,6 +58,8 @@ class VoltageParts:
                 begins.
             moment_v: shape (k,): first moment of every interval.
         """
+        if not moment_v.any():
+            return None
         share, first_v, second_v = _two_parts(voltage_v, moment_v, held_v)
         is_cut = share > 0.0
         if not is_cut.any():
