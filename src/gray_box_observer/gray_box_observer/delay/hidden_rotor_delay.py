@@ -246,6 +246,9 @@ class HiddenRotorSearch:
         """
         values = self._white_box.values(best.theta)
         winding_s = values['inductance'] / values['resistance']
+        span_s = float(self._signals.time_s[-1] - self._signals.time_s[0])
+        if not SETTLED * winding_s < span_s:  # its shape tells a winding that is so slow
+            return False
         place = self._white_box.context_nodes.index('inductance')
         logarithms = best.logarithms.copy()
         logarithms[place] += math.log(FAST_SHARE)
