@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from common.driver_runs import DriverCase, run_driver
 from common.figures import Figure
-from common.motor_study import MotorStudy, false_share, known_share, speed_in_words
+from common.motor_study import MotorStudy, figures_by_speed, speed_in_words
 from common.motor_trial import MotorTrial, counts
 
 MOTORS = 10
@@ -58,14 +58,7 @@ def row(speed: str, name: str, trials: Sequence[MotorTrial]) -> list[str]:
 
 def figures(trials: dict[tuple[str, str], list[MotorTrial]]) -> list[Figure]:
     """Return the figures of a run: false claims of all filters together, by speed."""
-    made = []
-    for speed in dict.fromkeys(speed for speed, _ in trials):
-        own = [trial for key, some in trials.items() if key[0] == speed for trial in some]
-        made += [
-            Figure(f'{speed}: false claims, in %', false_share(own), 2.0),
-            Figure('  R identified and right at the end, in % of motors', known_share(own), None),
-        ]
-    return made
+    return figures_by_speed(trials)
 
 
 def main() -> int:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from common.driver_runs import DriverCase, run_driver
 from common.figures import Figure
-from common.motor_study import MotorStudy, false_share, known_share, speed_in_words
+from common.motor_study import MotorStudy, figures_by_speed, speed_in_words
 from common.motor_trial import MotorTrial, counts
 
 MOTORS = 10
@@ -59,16 +59,7 @@ def row(speed: str, name: str, trials: Sequence[MotorTrial]) -> list[str]:
 
 def figures(trials: dict[tuple[str, str], list[MotorTrial]]) -> list[Figure]:
     """Return the figures of a run, by speed: R of drivers whose time is told, and false claims."""
-    made = []
-    for speed in dict.fromkeys(speed for speed, _ in trials):
-        own = {name: some for (other, name), some in trials.items() if other == speed}
-        every = [trial for some in own.values() for trial in some]
-        told = [t for name, some in own.items() if not name.endswith(UNTOLD) for t in some]
-        made += [
-            Figure(f'{speed}: false claims, in %', false_share(every), 2.0),
-            Figure('  R identified and right at the end, in % of motors', known_share(told), None),
-        ]
-    return made
+    return figures_by_speed(trials, lambda name: not name.endswith(UNTOLD))
 
 
 def main() -> int:

@@ -87,6 +87,28 @@ def known_share(trials: Sequence[MotorTrial]) -> float:
     return 100.0 * sum(trial.is_known for trial in trials) / max(len(trials), 1)
 
 
+def figures_by_speed(
+    trials: Mapping[tuple[str, str], Sequence[MotorTrial]],
+    can_be_known: Callable[[str], bool] = lambda _: True,
+) -> list[Figure]:
+    """Return false claims, and how many motors were known, speed by speed.
+
+    Args:
+        trials: by speed and name of a case.
+        can_be_known: tells by its name whether motors of a case count among those to be known.
+    """
+    made = []
+    for speed in dict.fromkeys(speed for speed, _ in trials):
+        own = {name: some for (other, name), some in trials.items() if other == speed}
+        every = [trial for some in own.values() for trial in some]
+        asked = [trial for name, some in own.items() if can_be_known(name) for trial in some]
+        made += [
+            Figure(f'{speed}: false claims, in %', false_share(every), 2.0),
+            Figure('  R identified and right at the end, in % of motors', known_share(asked), None),
+        ]
+    return made
+
+
 def speed_in_words(noise: float | None) -> str:
     """Say how the speed is measured.
 

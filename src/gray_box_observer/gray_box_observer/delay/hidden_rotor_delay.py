@@ -174,7 +174,7 @@ class HiddenRotorSearch:
             return None
         gain = math.inf
         for start in (best, *(fit for other_s, fit in coarse if other_s == applied_s)):
-            fit = yield from self._fit(applied_s, start)
+            fit = yield from self._fit(applied_s, start.logarithms)
             gain = gain if fit is None else min(gain, _evidence(best, fit))
         return HiddenRotorDelay(delay_s, std_s, gain)
 
@@ -228,9 +228,18 @@ class HiddenRotorSearch:
         samples[MOMENT, 1:] = moment_v
         return Window.from_samples(self._white_box, samples)
 
-    def _fit(self, delay_s: float, near: Fit) -> Generator[None, None, Fit | None]:
-        """Fit all signals under a delay, from where another fit has ended."""
-        search = Search(self._white_box, self._window(delay_s), self._prior, near.logarithms)
+    def _fit(
+        self, delay_s: float, logarithms: Array, signals: RawSignals | None = None
+    ) -> Generator[None, None, Fit | None]:
+        """Fit all signals under a delay.
+
+        Args:
+            delay_s: the delay.
+            logarithms: shape (parameter,): where the search begins.
+            signals: with another voltage; None: that of the stretch.
+        """
+        window = self._window(delay_s, signals)
+        search = Search(self._white_box, window, self._prior, logarithms)
         search.looks_for_noise = False
         return (yield from _paced(_descended(search)))
 
@@ -256,10 +265,7 @@ class HiddenRotorSearch:
         for share in FILTER_SHARES:
             signals = self._behind_filter(share * winding_s)
             for other_s in (whole_s, delay_s):
-                window = self._window(other_s, signals)
-                search = Search(self._white_box, window, self._prior, logarithms)
-                search.looks_for_noise = False
-                fit = yield from _paced(_descended(search))
+                fit = yield from self._fit(other_s, logarithms, signals)
                 if fit is not None and _evidence(best, fit) < RIVAL_EVIDENCE:
                     return True
         return False
@@ -282,13 +288,13 @@ class HiddenRotorSearch:
         self, delay_s: float, near: Fit
     ) -> Generator[None, None, tuple[float, float, Fit] | None]:
         """Move a delay until a fit moves it no more; return it, its deviation and the fit."""
-        best = yield from self._fit(delay_s, near)
+        best = yield from self._fit(delay_s, near.logarithms)
         if best is None:
             return None
         coarse_s = delay_s
         for share in SCANNED:
             other_s = coarse_s + share * self._interval_s
-            other = yield from self._fit(other_s, near)
+            other = yield from self._fit(other_s, near.logarithms)
             if other is not None and _evidence(other, best) > 0.0:
                 best = other
                 delay_s = other_s
@@ -315,7 +321,7 @@ class HiddenRotorSearch:
         step_s = min(max(step_s, -longest_s), longest_s)
         for share in SHARES:
             next_s = min(max(delay_s + share * step_s, self._reach_s[0]), self._reach_s[1])
-            fit = yield from self._fit(next_s, best)
+            fit = yield from self._fit(next_s, best.logarithms)
             if fit is not None and _evidence(fit, best) > 0.0:
                 return next_s, fit
         return None

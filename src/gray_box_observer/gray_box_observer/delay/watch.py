@@ -363,8 +363,7 @@ class DelayWatch:
         best = yield from fine.fit(start_s, free=True)
         if not math.isfinite(best.delay_s + best.std_s):
             return None
-        margin_s = 0.5 * interval_s
-        inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
+        inside = _is_inside(best.delay_s, interval_s, reach_s)
         result = _Found(best.delay_s, best.std_s, 0.0, interval_s, inside)
         if result.agrees_with(applied_s):  # and needs no evidence against it
             return result
@@ -395,8 +394,7 @@ class DelayWatch:
         result = yield from search.run(self.estimate.applied_s)
         if result is None or not math.isfinite(result.delay_s + result.std_s):
             return None
-        margin_s = 0.5 * interval_s
-        inside = reach_s[0] + margin_s < result.delay_s < reach_s[1] - margin_s
+        inside = _is_inside(result.delay_s, interval_s, reach_s)
         return _Found(result.delay_s, result.std_s, result.evidence, interval_s, inside)
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
@@ -569,6 +567,12 @@ class DelayWatch:
             DelayVerdict[word],
             applied_std_s or 0.0,
         )
+
+
+def _is_inside(delay_s: float, interval_s: float, reach_s: tuple[float, float]) -> bool:
+    """Tell whether a delay lies within what was searched, and not at its edge."""
+    margin_s = 0.5 * interval_s
+    return reach_s[0] + margin_s < delay_s < reach_s[1] - margin_s
 
 
 def _moves(signals: RawSignals) -> bool:

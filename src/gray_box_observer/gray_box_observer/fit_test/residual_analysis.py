@@ -145,7 +145,8 @@ class ResidualAnalysis:
             that comes late, a lag that is not quite as found, and a rotor that may turn.
         smoothing_shifts: likewise, where the lag of the winding may be a driver's.
         has_noisy_voltage: whether a rotor's current leaves a part of the voltage unanswered.
-        has_colour: whether, beside such noise, the residual remembers more than that makes it.
+        has_colour: whether, beside such noise, the residual remembers more than that makes it, or
+            a filter of the current may pass for the winding.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.

@@ -64,7 +64,7 @@ class VoltageParts:
         is_cut = share > 0.0
         if not is_cut.any():
             return None
-        places = np.arange(is_cut.size) + np.cumsum(is_cut)  # of the last part of every interval
+        places = _last_parts(is_cut)
         result_v = np.empty(is_cut.size + int(is_cut.sum()))
         length_s = np.empty_like(result_v)
         result_v[places] = second_v
@@ -77,7 +77,7 @@ class VoltageParts:
     @property
     def range_v(self) -> Array:
         """By how much the voltage moves within every interval, shape (k,)."""
-        last = np.arange(self.is_cut.size) + np.cumsum(self.is_cut)
+        last = _last_parts(self.is_cut)
         moves_v = np.abs(self.voltage_v[last] - self.voltage_v[last - 1])
         return np.where(self.is_cut, moves_v, 0.0)
 
@@ -87,7 +87,7 @@ class VoltageParts:
 
     def over_intervals(self, path: Run) -> Run:
         """Return a run through the parts as one through the intervals."""
-        last = np.arange(self.is_cut.size) + np.cumsum(self.is_cut)
+        last = _last_parts(self.is_cut)
         nodes = np.concatenate([[0], last + 1])
         transitions = path.transitions[last]
         before = path.transitions[last[self.is_cut] - 1]
@@ -95,6 +95,11 @@ class VoltageParts:
         return replace(
             path, states=path.states[nodes], slopes=path.slopes[nodes], transitions=transitions
         )
+
+
+def _last_parts(is_cut: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the place of the last part of every interval, shape (k,)."""
+    return np.arange(is_cut.size) + np.cumsum(is_cut)
 
 
 def _two_parts(voltage_v: Array, moment_v: Array, held_v: Array) -> tuple[Array, Array, Array]:
