@@ -1,7 +1,7 @@
 """When a window of samples is fitted, where it begins, and how many samples it has.
 
-The first fit comes as soon as there are a few samples, the next ones with half as many more each.
-From a full window on, one window follows another.
+The first fit comes as soon as there are a few samples, the next ones with half as many more each,
+up to AGAIN. From a full window on, one window follows another.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WINDOW = 2048
 """Samples of a full window."""
 
 AGAIN = 1024
-"""Samples between two fits from then on."""
+"""Samples between two fits at most, of a motor that is explained."""
 
 NEWS = 32
 """Samples since the last fit, at least, that are worth another one at the end of a recording."""
@@ -76,7 +76,7 @@ class WindowSchedule:
         """Settle when the next fit is due: with half as many more, later where nothing fits."""
         in_vain = not is_settled and count >= AGAIN
         self.wait = min(2 * self.wait, LONGEST_WAIT) if in_vain else AGAIN
-        more = min(count // (4 if count < FEW else 2), AGAIN)
+        more = AGAIN if count >= AGAIN else count // (4 if count < FEW else 2)
         if count < WINDOW:
             more = min(more, WINDOW - count)
         self.due = place + (self.wait if in_vain else more)

@@ -82,6 +82,9 @@ MOST_SETTLED = 4
 LEAST_START_GAIN = 1.0
 """Of chi-square, from which first states are moved by themselves before all else is."""
 
+NO_START_GAIN = 0.1
+"""The same, below which they are not moved any more where the parameters are believed."""
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -99,7 +102,7 @@ class Accuracy:
 ROUGHLY = Accuracy(0.3, 0.3)
 """Of a search while outliers pull, which another one follows."""
 
-NEARLY = Accuracy(3e-3, 1e-2)
+NEARLY = Accuracy(0.02, 1e-2)
 """Of the last search."""
 
 
@@ -217,10 +220,7 @@ class Search:
         """Move the first states alone to where they fit best."""
         for _ in range(2):
             scale = self._scale(self._at.residual_a)
-            equations = self._equations(self._weights(scale), scale)
-            steps = equations.start_steps(np.zeros(self.logarithms.size))
-            pairs = zip(self._at.by_start, steps, strict=True)
-            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in pairs) / scale**2
+            steps, gain = self._start_steps(scale)
             if gain < LEAST_START_GAIN:
                 return
             starts = self.starts + steps
@@ -229,6 +229,18 @@ class Search:
                 return
             self.starts = starts
             self._runs = runs
+
+    def _start_steps(self, scale: float) -> tuple[Array, float]:
+        """Return how first states alone would move, and what that gains if all were straight.
+
+        Args:
+            scale: noise of the current.
+        """
+        equations = self._equations(self._weights(scale), scale)
+        steps = equations.start_steps(np.zeros(self.logarithms.size))
+        pairs = zip(self._at.by_start, steps, strict=True)
+        gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in pairs) / scale**2
+        return steps, gain
 
     def settle_starts_of_motor(self) -> Pieces[None]:
         """Move the first states on, where the parameters are believed, as long as that gains.
@@ -257,8 +269,10 @@ class Search:
     def _settle_further(self) -> Pieces[None]:
         for _ in range(MOST_SETTLED):
             scale = self._scale(self._at.residual_a)
-            equations = self._equations(self._weights(scale), scale)
-            starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
+            steps, promised_gain = self._start_steps(scale)
+            if promised_gain < NO_START_GAIN:
+                return
+            starts = self.starts + steps
             before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
             runs = yield from self._run(self.logarithms, starts)
             if runs is None:
