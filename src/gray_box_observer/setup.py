@@ -20,6 +20,7 @@ COMPILED = Extension(
             'interval_motion',
             'whole_motor',
             'residual_filter',
+            'filtered_speed',
         )
     ],
     include_dirs=[PACKAGE],

@@ -17,16 +17,6 @@ _NUMBER = ctypes.c_double
 _POINTER = ctypes.c_void_p
 
 
-class FilterSettings(ctypes.Structure):
-    """What a step of the speed's filters needs to know; the order is that of `whole_motor.c`."""
-
-    _fields_ = (
-        *((name, _NUMBER) for name in ('noise', 'no_load_speed', 'share', 'coarseness', 'slip')),
-        *((name, _NUMBER) for name in ('stall', 'furthest', 'memory', 'largest_step')),
-        ('most_steps', _COUNT),
-    )
-
-
 @cache
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
@@ -46,15 +36,6 @@ def library() -> ctypes.CDLL | None:
     respond = handle.whole_motor_respond
     respond.restype = None
     respond.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
-    size = handle.whole_motor_filter_size
-    step = handle.whole_motor_filter_step
-    size.restype = step.restype = _COUNT
-    step.argtypes = (
-        *(_POINTER, _NUMBER, ctypes.POINTER(FilterSettings), _POINTER, _COUNT, _NUMBER, _NUMBER),
-        *(_NUMBER, _POINTER, _POINTER, _POINTER, _POINTER, _POINTER),
-    )
-    if size() != ctypes.sizeof(FilterSettings):
-        return None
     return handle if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
 
 

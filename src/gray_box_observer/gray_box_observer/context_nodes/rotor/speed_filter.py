@@ -13,21 +13,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gray_box_observer.context_nodes.native import whole_motor as native
+from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
-    LARGEST_STEP,
-    MOST_STEPS,
-    STATES,
-    run,
+from gray_box_observer.context_nodes.rotor.filter_bank import (
+    COARSENESS,
+    FURTHEST,
+    MEMORY,
+    NO_LOAD_SPEED,
+    SLIP,
+    WALKS,
+    FilterBank,
 )
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, run
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-WALKS = np.array([1e-10, 1e-6, 1e-4, 1e-2, 1.0])
-"""Variances that the load gains within a mechanical time constant, over the square of the stall
-torque."""
 
 LOAD = list(TERMS).index('load_torque')
 """Place of the load among the coordinates, where it stands over the inertia."""
@@ -37,26 +37,8 @@ SPEED = State.SPEED
 ACCELERATION = STATES
 """Place of the load over the inertia among the states of a filter, behind those of the motor."""
 
-MEMORY = 0.99
-"""Share of its log-likelihood that a filter keeps from sample to sample."""
-
-COARSENESS = 0.03
-"""Standard deviation of what the model misses in the current, within a sample, over the noise."""
-
-SLIP = 1e-3
-"""The same of the speed within a mechanical time constant, over the no-load speed: friction that
-holds a rotor lets it go a little earlier or later."""
-
 FINEST = 3e-4
 """Standard deviation of the speed that is claimed at least, over the no-load speed."""
-
-FURTHEST = 5.0
-"""Standard deviations of an innovation that count at most: an outlier moves the speed little."""
-
-_TO_WALKS = native.pointer(WALKS)
-
-LEAST_V = 1e-3
-"""Voltage by which the no-load speed is reckoned at least."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +63,6 @@ class _Motor:
     Attributes:
         theta: the parameters, as bytes.
         p: coordinates of its motion.
-        p_pointer: where compiled code finds them.
         resistance: in ohm.
         back_emf: Kb in V s/rad.
         time_s: mechanical time constant.
@@ -89,7 +70,6 @@ class _Motor:
 
     theta: bytes
     p: Array
-    p_pointer: int
     resistance: float
     back_emf: float
     time_s: float
@@ -102,7 +82,7 @@ class _Motor:
         resistance = values['resistance']
         back_emf = values['back_emf_constant']
         time_s = values['inertia'] * resistance / (back_emf * float(white_box.torque_constant))
-        return cls(theta.tobytes(), p, native.pointer(p), resistance, back_emf, time_s)
+        return cls(theta.tobytes(), p, resistance, back_emf, time_s)
 
 
 class SpeedFilter:
@@ -110,27 +90,33 @@ class SpeedFilter:
 
     Args:
         white_box: its physics.
-        is_compiled: whether compiled code is used where there is any; it gives the same to
-            rounding.
+        is_compiled: whether compiled code is used where there is any; it gives the same but for
+            what finite steps leave.
+        bank: where the filters stand, of motors that are followed side by side; None: of this one.
+        place: of the motor there.
     """
 
-    def __init__(self, white_box: MotorWhiteBox, *, is_compiled: bool = True) -> None:
-        self._library = native.library() if is_compiled else None
-        self._settings = native.FilterSettings(
-            coarseness=COARSENESS, slip=SLIP, furthest=FURTHEST, memory=MEMORY,
-            largest_step=LARGEST_STEP, most_steps=MOST_STEPS,
-        )  # fmt: skip
-        self._share = np.empty(WALKS.size)
-        self._mean = np.empty(2)
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        *,
+        is_compiled: bool = True,
+        bank: FilterBank | None = None,
+        place: int = 0,
+    ) -> None:
+        self._bank = FilterBank(1, is_compiled=is_compiled) if bank is None else bank
+        self._place = place
+        self._places = np.array([place], dtype=np.int64)
+        self._to_places = compiled.address(self._places)
         self._white_box = white_box
-        self._is_running = False
-        self._states = np.zeros((WALKS.size, STATES + 1))
-        self._covariance = np.zeros((WALKS.size, STATES + 1, STATES + 1))
-        self._log_likelihood = np.zeros(WALKS.size)
-        self._known_motor: _Motor | None = None
-        self._pointers: tuple[int, ...] = ()
+        self._states = self._bank.states[place]
+        self._covariance = self._bank.covariance[place]
+        self._log_likelihood = self._bank.log_likelihood[place]
+        self._sample = self._bank.samples[place]
+        self._agreed = self._bank.agreed[place]
         self._torque_constant = float(white_box.torque_constant)
-        self._largest_v = LEAST_V
+        self._motor: _Motor | None = None
+        self._noise_a = 0.0
 
     def step(
         self,
@@ -154,35 +140,53 @@ class SpeedFilter:
         Returns:
             The speed at the sample; None where it cannot be followed.
         """
-        motor = self._motor(theta)
-        begins = interval_s <= 0.0 or not self._is_running
-        self._is_running = noise_a > 0.0 and math.isfinite(current_a) and math.isfinite(voltage_v)
-        if not self._is_running:
+        motor = self.know(theta, noise_a)
+        bank = self._bank
+        place = self._place
+        begins = interval_s <= 0.0 or not bank.is_running[place]
+        is_usable = noise_a > 0.0 and math.isfinite(current_a) and math.isfinite(voltage_v)
+        bank.is_running[place] = is_usable
+        if not is_usable:
             return None
-        self._largest_v = max(self._largest_v, abs(voltage_v))
+        if abs(voltage_v) > bank.largest_v[place]:
+            bank.largest_v[place] = abs(voltage_v)
+            bank.known[place, NO_LOAD_SPEED] = abs(voltage_v) / motor.back_emf
+        more_std = resistance_std * current_a / motor.back_emf
         if begins:
             self._start(motor, noise_a, voltage_v, current_a)
-        elif self._library is not None:
-            self._is_running = self._compiled_step(motor, noise_a, interval_s, voltage_v, current_a)
-            speed, spread = self._mean.tolist()
-            return self._told(speed, spread, resistance_std * current_a / motor.back_emf)
-        else:
-            self._is_running = self._predict(motor, noise_a, interval_s, voltage_v)
-        if self._is_running:
-            self._correct(noise_a, current_a)
-        return self._mixed(resistance_std * current_a / motor.back_emf)
+        elif bank.can_step:
+            self._sample[:] = interval_s, voltage_v, current_a
+            bank.step_at(1, self._to_places)
+            speed, variance = self._agreed.tolist()
+            return self._told(speed, variance, more_std)
+        elif not self._predict(motor, noise_a, interval_s, voltage_v):
+            bank.is_running[place] = False
+            return None
+        self._correct(noise_a, current_a)
+        return self._mixed(more_std)
 
-    def _motor(self, theta: Array) -> _Motor:
-        """Return what follows from the parameters; worked out where they have changed."""
-        motor = self._known_motor
+    def know(self, theta: Array, noise_a: float) -> _Motor:
+        """Take note of what is known of the motor; return what follows where that has changed.
+
+        Args:
+            theta: shape (parameter,).
+            noise_a: standard deviation of the current's noise.
+        """
+        motor = self._motor
+        bank = self._bank
         if motor is None or theta.tobytes() != motor.theta:
-            motor = self._known_motor = _Motor.from_theta(self._white_box, theta)
+            motor = self._motor = _Motor.from_theta(self._white_box, theta)
+            bank.renew(self._place, motor.p)
+        elif noise_a == self._noise_a:
+            return motor
+        self._noise_a = noise_a
+        no_load_speed = bank.largest_v[self._place] / motor.back_emf
+        bank.known[self._place] = self._torque_constant, noise_a, no_load_speed, motor.time_s
         return motor
 
     @property
     def _no_load_speed(self) -> float:
-        assert self._known_motor is not None
-        return self._largest_v / self._known_motor.back_emf
+        return float(self._bank.known[self._place, NO_LOAD_SPEED])
 
     def _start(self, motor: _Motor, noise_a: float, voltage_v: float, current_a: float) -> None:
         """Begin where voltage and current put the speed, which is but a guess."""
@@ -190,30 +194,6 @@ class SpeedFilter:
         self._states[:] = current_a, speed, motor.p[LOAD]
         self._covariance[:] = np.diag([noise_a**2, self._no_load_speed**2, 0.0])
         self._log_likelihood[:] = 0.0
-
-    def _compiled_step(
-        self,
-        motor: _Motor,
-        noise_a: float,
-        interval_s: float,
-        voltage_v: float,
-        current_a: float,
-    ) -> bool:
-        """Predict and correct every filter in compiled code; tell whether that was possible."""
-        assert self._library is not None
-        own = self._settings
-        own.noise = noise_a
-        own.no_load_speed = self._no_load_speed
-        own.share = interval_s / motor.time_s
-        own.stall = own.no_load_speed / motor.time_s
-        if not self._pointers:
-            arrays = (self._states, self._covariance, self._log_likelihood, self._share, self._mean)
-            self._pointers = tuple(map(native.pointer, arrays))
-        is_done = self._library.whole_motor_filter_step(
-            motor.p_pointer, self._torque_constant, own, _TO_WALKS, WALKS.size, interval_s,
-            voltage_v, current_a, *self._pointers,
-        )  # fmt: skip
-        return bool(is_done)
 
     def _predict(self, motor: _Motor, noise_a: float, interval_s: float, voltage_v: float) -> bool:
         """Move every filter on by an interval; tell whether that could be followed."""
@@ -263,8 +243,6 @@ class SpeedFilter:
 
     def _mixed(self, more_std: float) -> SpeedEstimate | None:
         """Return the speed that the filters agree on, its spread with a further one."""
-        if not self._is_running:
-            return None
         shares = self._shares()
         speeds = self._states[:, SPEED]
         speed = float(shares @ speeds)
@@ -273,12 +251,10 @@ class SpeedFilter:
 
     def _told(self, speed: float, spread: float, more_std: float) -> SpeedEstimate | None:
         """Return a speed with its variance and what adds to it; None where it is none."""
-        if not self._is_running:
-            return None
         least_std = FINEST * self._no_load_speed
         variance = spread + more_std**2 + least_std**2
-        self._is_running = math.isfinite(speed) and 0.0 <= variance < math.inf
-        if not self._is_running:
+        if not (math.isfinite(speed) and 0.0 <= variance < math.inf):
+            self._bank.is_running[self._place] = False
             return None
         return SpeedEstimate(speed, math.sqrt(variance), self._load())
 
