@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
+from gray_box_observer.context_nodes.rotor.rotor_group import RotorGroup
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     'Mechanics',
     'RecursiveEstimator',
     'RecursiveSettings',
+    'RotorGroup',
     'RotorUpdate',
     'Verdict',
     'VerdictSettings',

@@ -86,6 +86,11 @@ def completed_within(work: Pieces[Result], most: int) -> Result | None:
     return completed(bounded(work, most))
 
 
+def granted_share(interval_s: float) -> int:
+    """Return the work that a sample grants, by the time in s since the one before."""
+    return int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
+
+
 class WorkBudget:
     """How much work may be done, by the number of samples that have come.
 
@@ -100,8 +105,7 @@ class WorkBudget:
 
     def grant(self, interval_s: float, samples: int = 1) -> None:
         """Take note of samples, so long after the one before by their stamps; 0: not known."""
-        share = int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
-        self.credit = min(self.credit + share * samples, SAVED)
+        self.credit = min(self.credit + granted_share(interval_s) * samples, SAVED)
 
     def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
         """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""

@@ -93,10 +93,14 @@ class FitSchedule:
     Args:
         fewest: shape (motor,): samples that a test needs at least.
         parameters: how many a motor has.
+        most: motors that are tested at one sample of the group, at most; None: one in MANY.
     """
 
-    def __init__(self, fewest: NDArray[np.int_], parameters: int) -> None:
+    def __init__(
+        self, fewest: NDArray[np.int_], parameters: int, most: int | None = None
+    ) -> None:
         count = fewest.size
+        self._most = max(1, count // MANY) if most is None else most
         self._fewest = fewest
         self._due = fewest.copy()
         self._soon = np.full(count, NEVER)
@@ -118,7 +122,6 @@ class FitSchedule:
             motors: their places on the motor axis.
         """
         rows = [0] if motors.size == 1 else self._candidates(replay, estimate, motors)
-        most = max(1, self._due.size // MANY)
         movers: set[int] = set()
         due_motors: list[int] = []
         for row in rows:
@@ -133,7 +136,7 @@ class FitSchedule:
             if has_moved:
                 movers.add(motor)
             due_motors.append(motor)
-            if len(due_motors) == most:
+            if len(due_motors) == self._most:
                 break
         self._movers = frozenset(movers)
         return due_motors
@@ -195,6 +198,19 @@ class FitSchedule:
         """
         wait: int = replay.received_of(motor) - self._tested_at.item(motor)
         return wait >= RECENT_WAIT and bool(self._has_passed[motor])
+
+    def stale(self, replay: ReplayBuffer) -> list[int]:
+        """Return whose newest samples are tested now, of motors with rotors, as :meth:`is_stale`.
+
+        Of many those that have waited longest, so many that all have their turn.
+        """
+        waits = np.where(self._has_passed, replay.received - self._tested_at, 0)
+        motors = np.flatnonzero(waits >= RECENT_WAIT)
+        most = -(-2 * waits.size // RECENT_WAIT)
+        if motors.size > most:
+            motors = motors[np.argsort(-waits[motors], kind='stable')[:most]]
+        stale_motors: list[int] = motors.tolist()
+        return stale_motors
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
         """Tell whether a first test is worth its time: something would be believed without it."""

@@ -59,7 +59,9 @@ class FitMonitor:
         self._withheld_motors: set[int] = set()  # changed since they passed; not tested yet
         self._basis = SpeedBasis.from_form(white_boxes[0], len(motors))
         fewest = np.array([test.fewest for test in self._tests])
-        self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters))
+        # of rotors few have a new estimate at a sample, and the next one is far
+        most = len(motors) if white_boxes[0].has_rotor else None
+        self.schedule = FitSchedule(fewest, len(white_boxes[0].parameters), most)
         self.forget()
 
     def configuration(self, motor: int) -> MotorConfiguration:

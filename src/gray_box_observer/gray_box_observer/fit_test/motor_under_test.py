@@ -8,6 +8,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes import (
     MeasuredSpeedUpdate,
+    RotorGroup,
     RotorUpdate,
     speed_readings,
 )
@@ -110,7 +111,7 @@ class MotorUnderTest:
             readings,
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
-            knows_voltage_noise(nodes),
+            knows_voltage_noise(nodes.of(motor) if isinstance(nodes, RotorGroup) else nodes),
         )
 
     def snapshot(self) -> MotorUnderTest:

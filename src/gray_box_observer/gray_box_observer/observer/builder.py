@@ -17,12 +17,13 @@ from gray_box_observer.context_nodes import (
     Mechanics,
     RecursiveEstimator,
     RecursiveSettings,
+    RotorGroup,
     RotorUpdate,
     VerdictSettings,
     can_be_output,
     published_known_parts,
 )
-from gray_box_observer.context_nodes.native import whole_motor
+from gray_box_observer.context_nodes.native import filtered_speed, whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch, HiddenRotor
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
@@ -266,7 +267,9 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
     rules_alone = (
         configuration['context_update'] != 'recursive' or configuration['variant'] != PHYSICS
     )
-    alone = rules_alone or configuration.has_own_speed or motor.has_rotor
+    alone = rules_alone or configuration.has_own_speed
+    if motor.has_rotor and not _can_be_joined(configuration, motor):
+        return None
     if alone or motor.estimates_delay or motor.mechanical_nodes or motor.coasts:
         return None
     values = motor.values
@@ -281,6 +284,18 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         limits_v,
         values['speed_source'],
     )
+
+
+def _can_be_joined(configuration: Configuration, motor: MotorConfiguration) -> bool:
+    """Tell whether a motor with a rotor may be computed together with others.
+
+    Each has a prediction of its own, and whatever makes the voltage of commands or whitens the noise
+    of a current is made for one.
+    """
+    is_plain = motor.current_lag is None and not motor.dead_zone_v and motor.noise_memory == 0.0
+    load_varies = motor.white_box(speed_measured=False).load_varies
+    has_library = filtered_speed.library() is not None
+    return is_plain and has_library and not (load_varies or configuration['predictor'])
 
 
 def _joined(boxes: Sequence[MotorWhiteBox]) -> MotorWhiteBox:
@@ -306,6 +321,9 @@ def context_nodes(
         )
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
     rules = RecursiveSettings(**configuration.group('recursive'))
+    if white_box.has_rotor and len(motors) > 1:
+        boxes = [motor.white_box(speed_measured=False) for motor in motors]
+        return RotorGroup(boxes, initial, rules, verdicts, relative_std)
     if white_box.has_rotor:
         merges_held = not _makes_voltage(motors)
         return RotorUpdate(

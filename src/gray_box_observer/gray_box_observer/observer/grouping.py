@@ -205,6 +205,7 @@ class Grouping:
             uses_speed=uses_speed,
             needs_speed=first.needs_speed,
             delay_s=first.delay_s,
+            tells_moves=len(names) == 1 or first.has_rotor,
         )
 
     def pairing_of(self, group: Group) -> Pairing:

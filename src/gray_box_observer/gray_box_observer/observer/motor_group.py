@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate, SpeedEstimates
 from gray_box_observer.observer.motor_observer import DeferredUpdate, MotorObserver
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.stopped import StoppedPairing
@@ -103,8 +103,13 @@ class GroupResult:
 
     @property
     def speed(self) -> SpeedEstimate | None:
-        """Speed at the sample, of a motor with a rotor, which comes alone."""
+        """Speed at the sample, of a motor with a rotor that comes alone."""
         return self.update.speed
+
+    @property
+    def speeds(self) -> SpeedEstimates | None:
+        """Speeds at the sample, of motors with rotors that come together; None of all others."""
+        return self.update.speeds
 
     def __iter__(self) -> Iterator[Result]:
         return iter(self.motor_results())
@@ -141,4 +146,5 @@ class GroupResult:
                 sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one],
                 sample.torque_nm[one], sample.speed_rad_s[one],
             )  # fmt: skip
-            yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]))
+            speed = None if self.speeds is None else self.speeds.of(motor)
+            yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]), speed)

@@ -12,16 +12,18 @@ from gray_box_observer.context_nodes import (
     ContextUpdate,
     Estimate,
     MeasuredSpeedUpdate,
+    RotorGroup,
     RotorUpdate,
     VerdictSettings,
 )
 from gray_box_observer.context_nodes.pieces import completed
-from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate, SpeedEstimates
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.form_choice import FormChoice
+from gray_box_observer.observer.group_speeds import GroupSpeeds
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
@@ -53,6 +55,7 @@ class DeferredUpdate:
         is_followed: whether the predictor has gone on from it.
         speed: of a motor with a rotor, at the sample; None where none may be believed.
         followed_speed: the same, believed or not: where a prediction may begin.
+        speeds: of motors with rotors that are sampled together; None of all others.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
             sample; None: to be done.
     """
@@ -64,6 +67,7 @@ class DeferredUpdate:
     is_identified: NDArray[np.bool_]
     speed: SpeedEstimate | None = None
     followed_speed: SpeedEstimate | None = None
+    speeds: SpeedEstimates | None = None
     is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
@@ -113,9 +117,12 @@ class MotorObserver:
         self._speed = self._new_speed_tracking()
         self._know(self._believed())
 
-    def _new_speed_tracking(self) -> SpeedTracking | None:
-        """Return what follows the speed of a motor with a rotor; None of another one."""
+    def _new_speed_tracking(self) -> SpeedTracking | GroupSpeeds | None:
+        """Return what follows the speed of motors with a rotor; None of others."""
         nodes = self.context_nodes
+        if isinstance(nodes, RotorGroup):
+            boxes = [self.white_box_of(motor) for motor in range(self.motors)]
+            return GroupSpeeds(boxes, nodes)
         if not isinstance(nodes, RotorUpdate):
             return None
         is_late = self._voltage_path is not None and self._voltage_path.has_lag
@@ -198,9 +205,11 @@ class MotorObserver:
             sample, prediction, belief.theta, belief.covariance, belief.is_identified
         )
         estimate = self.update_parameters(sample)
-        if self._speed is not None:
+        if isinstance(self._speed, SpeedTracking):
             update.speed = self._speed.step(sample, self._belief.theta[0])
             update.followed_speed = self._speed.estimate
+        elif self._speed is not None:
+            update.speeds = self._speed.step(sample, self._belief.theta)
         if self._forecasting is None and self.form_choice.is_idle:
             update.alarm = self.alarmed  # nothing is left to be done
         else:
@@ -267,13 +276,18 @@ class MotorObserver:
         return has_changed
 
     def _finish_fits(self) -> bool:
-        """Do what is left of a fit that goes on piece by piece, and test what comes of it."""
+        """Do what is left of fits that go on piece by piece, and test what comes of them."""
         nodes = self.context_nodes
-        if not (isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate) and nodes.finish()):
-            return False
-        self.changed_motors = _FIRST
-        self._know(self._tests.test(0, is_out=True))
-        return True
+        changed_motors: list[int] = []
+        if isinstance(nodes, RotorGroup):
+            changed_motors = nodes.finish()
+        elif isinstance(nodes, RotorUpdate | MeasuredSpeedUpdate):
+            changed_motors = [0] if nodes.finish() else []
+        for motor in changed_motors:
+            self._know(self._tests.test(motor, is_out=True), slice(motor, motor + 1))
+        if changed_motors:
+            self.changed_motors = np.array(changed_motors)
+        return bool(changed_motors)
 
     def _go_over(self, form: MotorForm | None) -> None:
         """Observe the motor by another form, where there is one."""
@@ -331,10 +345,10 @@ class MotorObserver:
         if self._forecasting is not None:
             self._forecast_ahead = None
             self._intervals_s = self._intervals_s[1], sample.interval_s
+        if self._speed is not None and not (has_changed and self.motors == 1):
+            self._tests.schedule_newest()
         if not has_changed:
             self.changed_motors = _NOBODY
-            if self._speed is not None:
-                self._tests.schedule_newest()
             return None
         self.changed_motors = (
             _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
@@ -387,8 +401,14 @@ class MotorObserver:
         public_estimate = belief.keep(
             estimate, motors, is_frozen=self._is_frozen, follows_level=follows_level
         )
-        if self._speed is not None:
+        if isinstance(self._speed, SpeedTracking):
             self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
+        elif self._speed is not None:
+            for motor in np.arange(self.motors)[motors].tolist():
+                self._speed.believe(
+                    *(motor, belief.theta[motor], belief.covariance[motor]),
+                    self._fit.assessment(motor),
+                )
         return public_estimate
 
     def freeze(self, is_frozen: bool) -> None:
@@ -413,15 +433,17 @@ class MotorObserver:
         """The same of every parameter of one motor."""
         return tuple(self._belief.known_flags[motor].tolist())
 
-    @property
-    def speed(self) -> SpeedEstimate | None:
-        """Speed at the newest sample of a motor with a rotor; None where none may be believed."""
-        return None if self._speed is None else self._speed.newest
+    def speed_of(self, motor: int) -> SpeedEstimate | None:
+        """Speed of one motor with a rotor at the newest sample; None where none may be believed."""
+        if isinstance(self._speed, SpeedTracking):
+            return self._speed.newest
+        return None if self._speed is None else self._speed.speed_of(motor)
 
-    @property
-    def stall(self) -> StallWatch | None:
-        """Whether a rotor stands still though it is driven; None of a motor without rotor."""
-        return None if self._speed is None else self._speed.stall
+    def stall_of(self, motor: int) -> StallWatch | None:
+        """Whether one rotor stands still though it is driven; None of a motor without rotor."""
+        if isinstance(self._speed, SpeedTracking):
+            return self._speed.stall
+        return None if self._speed is None else self._speed.stall_of(motor)
 
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""

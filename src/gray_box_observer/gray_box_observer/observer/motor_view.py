@@ -165,12 +165,12 @@ class MotorView:
     @property
     def speed(self) -> SpeedEstimate | None:
         """Speed at the newest sample of a motor with a rotor; None where none may be believed."""
-        return self.observer.speed
+        return self.observer.speed_of(self.place)
 
     @property
     def stall(self) -> StallWatch | None:
         """Whether its rotor stands still though it is driven; None where it has none."""
-        return self.observer.stall
+        return self.observer.stall_of(self.place)
 
     @property
     def estimate(self) -> Estimate:

@@ -188,8 +188,8 @@ class HeldVoltage:
             return held_v  # unchanged over the interval: exact, no division
         return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)
 
-    def moment(self, start_ns: int, end_ns: int) -> float:
-        """First moment of one motor's voltage about the middle of an interval, in V.
+    def moment(self, start_ns: int, end_ns: int) -> Any:
+        """First moment of the voltage about the middle of an interval, in V.
 
         It is taken over the interval twice: ``integral of (t - middle) u dt / T^2``. The voltage
         must be known, as in :meth:`mean`.
@@ -208,7 +208,7 @@ class HeldVoltage:
         if cursor_ns == start_ns:
             return 0.0
         moment_vns2 += 0.5 * held_v * (end_ns - cursor_ns) * (cursor_ns - start_ns)
-        return float(moment_vns2 / (end_ns - start_ns) ** 2)
+        return moment_vns2 / (end_ns - start_ns) ** 2
 
     def unknown_until_ns(self, start_ns: int, end_ns: int, torque: Rhythm) -> int | None:
         """Return when voltage is known again between two torques; None: it always was.

@@ -72,7 +72,7 @@ class Joining(Protocol):
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any],
-        torque_nm: Any, speed_rad_s: Any, gap_ns: int, moment_v: float = 0.0,
+        torque_nm: Any, speed_rad_s: Any, gap_ns: int, moment_v: Any = None,
     ) -> Sample | None:  # fmt: skip
         """Make a sample of finite numbers; None, counted, where no motor is known.
 
@@ -84,7 +84,7 @@ class Joining(Protocol):
             torque_nm: the torque.
             speed_rad_s: the speed.
             gap_ns: a motor that was absent for longer starts its history anew.
-            moment_v: first moment of one motor's voltage; see :meth:`HeldVoltage.moment`.
+            moment_v: first moment of the voltage (:meth:`HeldVoltage.moment`); None: it is not told.
         """
 
     def refusal_counts(self, motor: int) -> RefusalCounts:
@@ -160,13 +160,14 @@ class OneMotor:
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float],
-        torque_nm: float, speed_rad_s: float, gap_ns: int, moment_v: float = 0.0,
+        torque_nm: float, speed_rad_s: float, gap_ns: int, moment_v: float | None = None,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         if passed_ns is not None and not math.isnan(mean_v):
             end_v = mean_v if math.isnan(held_v[0]) else held_v[0]
             return Sample.of_one_motor(
-                stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s, end_v, moment_v
+                *(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s, end_v),
+                moment_v or 0.0,
             )
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
@@ -301,14 +302,18 @@ class ManyMotors:
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array],
-        torque_nm: Array, speed_rad_s: Any, gap_ns: int, moment_v: float = 0.0,
+        torque_nm: Array, speed_rad_s: Any, gap_ns: int, moment_v: Any = None,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank
+        end_v = None if moment_v is None else np.where(np.isnan(held_v[0]), mean_v, held_v[0])
         if self._regular and passed_ns is not None and np.isfinite(torque_nm + mean_v).all():
+            interval_s = np.full(mean_v.size, seconds(passed_ns))
+            own_moment_v = None if moment_v is None else np.full(mean_v.size, moment_v)
             return Sample(
-                stamp_ns, np.full(mean_v.size, seconds(passed_ns)), mean_v, torque_nm, speed
+                stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, own_moment_v
             )
+        is_longer = self._owed_ns > 0  # its interval is not that of the group, as far as there is one
         here = ~np.isnan(torque_nm)
         span_ns = (
             self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
@@ -331,12 +336,21 @@ class ManyMotors:
             return None
         self._lost_counts += ~here
         interval_s = np.where(begins | ~here, 0.0, span_ns / NANOSECONDS_PER_SECOND)
+        if end_v is not None:  # how it moves in a longer interval is not known
+            has_one = begins | is_longer
+            end_v = np.where(has_one, mean_v, end_v)
+            moment_v = np.where(has_one, 0.0, moment_v)
         if self._regular:
-            return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed)
+            return Sample(
+                stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, moment_v
+            )
         # what was refused with its torque must not be seen by anybody
         voltage_v = np.where(here, mean_v, 0.0)
         speed = np.where(here, speed, np.nan)
-        return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here)
+        if end_v is not None:
+            end_v = np.where(here, end_v, 0.0)
+            moment_v = np.where(here, moment_v, 0.0)
+        return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here, end_v, moment_v)
 
     def refusal_counts(self, motor: int) -> RefusalCounts:
         """See :class:`Joining`."""

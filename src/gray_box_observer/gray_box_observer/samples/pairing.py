@@ -88,6 +88,7 @@ class Pairing:
         needs_speed: whether nothing can be learnt of the motor without speed.
         delay_s: voltage acts that much later than its stamp says; negative where its stamp comes
             late.
+        tells_moves: whether samples tell how the voltage moves within their interval.
 
     Attributes:
         history: what came in and was taken, to be paired anew.
@@ -104,8 +105,10 @@ class Pairing:
     def __init__(
         self, rules: PairingSettings | None = None, motors: int = 1, *, own_speed: bool = False,
         uses_speed: bool = True, needs_speed: bool = False, delay_s: float = 0.0,
+        tells_moves: bool = True,
     ) -> None:  # fmt: skip
         self.motors = motors
+        self._tells_moves = tells_moves
         self._own_speed = own_speed
         self._uses_speed = uses_speed
         self._always_needs_speed = own_speed or needs_speed
@@ -240,6 +243,7 @@ class Pairing:
             uses_speed=self._uses_speed,
             needs_speed=self._always_needs_speed,
             delay_s=delay_s,
+            tells_moves=self._tells_moves,
         )
         index = motors[0] if len(motors) == 1 else list(motors)
         for signal, stamp_ns, values in self.history.events(self._delay_ns):
@@ -465,13 +469,13 @@ class Pairing:
         known_ns = None
         passed_ns = None
         mean_v = self._joining.blank
-        moment_v = 0.0
+        moment_v: Any = 0.0 if self._tells_moves else None
         if start_ns is not None:
             known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
                 passed_ns = stamp_ns - start_ns
                 mean_v = self._voltages.mean(start_ns, stamp_ns)
-                if self.motors == 1:
+                if self._tells_moves:
                     moment_v = self._voltages.moment(start_ns, stamp_ns)
         first_v = self._voltages.step_to(
             stamp_ns, is_lost=known_ns is not None and known_ns >= stamp_ns

@@ -48,7 +48,7 @@ class Sample(NamedTuple):
         present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays
             hold of the others is not to be used.
         held_v: shape (motor,): voltage in force just before the stamp; None: it is not told, as of
-            motors that are computed together.
+            motors without a rotor that are computed together.
         moment_v: shape (motor,): first moment of the voltage about the middle of the interval, in V
             (:meth:`HeldVoltage.moment`); None: it is not told.
     """
@@ -78,10 +78,12 @@ class Sample(NamedTuple):
             x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s)
         )
         present = None if self.present is None else self.present[index]
-        held_v = None if self.held_v is None else self.held_v[index]
+        held_v, moment_v = (
+            None if x is None else x[index] for x in (self.held_v, self.moment_v)
+        )
         return Sample(
             self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present,
-            held_v,
+            held_v, moment_v,
         )  # fmt: skip
 
     @classmethod

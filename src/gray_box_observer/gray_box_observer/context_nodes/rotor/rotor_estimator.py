@@ -88,6 +88,9 @@ class RotorUpdate:
         merges_held: whether fewer samples are kept while the voltage is held. Not where that is
             made of commands, which are remembered sample by sample.
         noise_memory: of the current (:mod:`~gray_box_observer.context_nodes.rotor.noise_memory`).
+        replay: remembers motors that are sampled together, and is filled by others; None: one of
+            its own.
+        motor: its place there.
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -102,8 +105,12 @@ class RotorUpdate:
         *,
         merges_held: bool = True,
         noise_memory: float = 0.0,
+        replay: ReplayBuffer | None = None,
+        motor: int = 0,
     ) -> None:
         self._white_box = white_box
+        self._motor = motor
+        self._one = slice(motor, motor + 1)
         self._rules = rules or RecursiveSettings()
         self.verdict_rules = verdict_rules or VerdictSettings()
         learner_type = self._learner_type
@@ -115,10 +122,10 @@ class RotorUpdate:
             white_box, initial, initial_relative_std, self._rules.drift_threshold
         )
         self._learner.noise_memory = noise_memory
-        capacity = max(self._rules.replay_capacity, WINDOW)
-        self.replay = ReplayBuffer(
-            1, capacity, speed_measured=self._learner.speed_measured, with_moves=True
-        )
+        speed_measured = self._learner.speed_measured
+        if replay is None:
+            replay = replay_of_rotors(1, self._rules, speed_measured=speed_measured)
+        self.replay = replay
         merges = merges_held and not self._learner.speed_measured
         self._merger = SampleMerger() if merges else None
         self._schedule = WindowSchedule()
@@ -164,7 +171,7 @@ class RotorUpdate:
 
     def present_since(self, motor: int) -> int:
         """Return the place from which one motor is the present one: that of its last change."""
-        return self.replay.begin_of(motor)
+        return self.replay.begin_of(self._motor)
 
     def is_drifting(self, motor: int) -> bool:
         """Tell whether the motor is known to drift: this rule never asks."""
@@ -221,6 +228,29 @@ class RotorUpdate:
             self.begin_fit()
         return bool(self.advance())
 
+    def go_on_at(self, place: int, stamp_ns: int, credit: int) -> tuple[bool, int]:
+        """Go on with a fit that is due or under way, where others remember the samples.
+
+        Args:
+            place: of the newest sample.
+            stamp_ns: its stamp.
+            credit: work that is granted.
+
+        Returns:
+            Whether the estimate has changed, and the credit that is left.
+        """
+        self.note(place, stamp_ns, credit)
+        if self.is_due:
+            self.begin_fit()
+        has_changed = bool(self.advance())
+        return has_changed, self._budget.credit
+
+    def note(self, place: int, stamp_ns: int, credit: int) -> None:
+        """Take note of samples that others remember; see :meth:`go_on_at`."""
+        self._schedule.place = place
+        self._stamp_ns = stamp_ns
+        self._budget.credit = credit
+
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
         self._stamp_ns = sample.stamp_ns
@@ -241,6 +271,16 @@ class RotorUpdate:
         return self._is_frozen
 
     @property
+    def due(self) -> int:
+        """Place of the sample with which the next fit is due."""
+        return self._schedule.due
+
+    @property
+    def credit(self) -> int:
+        """Work that is granted and not done."""
+        return self._budget.credit
+
+    @property
     def is_due(self) -> bool:
         """Whether the samples since the last fit are worth another one."""
         is_due = self._schedule.place >= self._schedule.due
@@ -253,10 +293,10 @@ class RotorUpdate:
 
     def begin_fit(self) -> None:
         """Begin to fit what is remembered: a window, from where the one before has ended."""
-        remembered_count = int(self.replay.remembered()[0])
+        remembered_count = int(self.replay.remembered(self._one)[0])
         is_settled = self._learner.is_settled
         place, count = self._schedule.next_window(remembered_count, is_settled=is_settled)
-        samples = self.replay.newest(count, until=np.array([place]))
+        samples = self.replay.newest(count, self._one, until=np.array([place]))
         self._begin(place, samples[:, 0].copy())
 
     def _begin(self, place: int, samples: Array) -> None:
@@ -360,7 +400,7 @@ class RotorUpdate:
         window = learner.window(samples)
         has_fit = yield from learner.learn(window, is_full=count >= WINDOW)
         if learner.is_new_motor:
-            self.replay.forget(window.current_a.size + schedule.place - place)
+            self.replay.forget(window.current_a.size + schedule.place - place, self._one)
         if has_fit and learner.is_settled and count >= WINDOW:
             schedule.mark = place
         schedule.plan(place, count, is_settled=learner.is_settled)
@@ -368,13 +408,13 @@ class RotorUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
-        content = self.replay.content(with_forgotten=True)
+        content = self.replay.content(self._one, with_forgotten=True)
         plain = {
             'parameters': [p.name for p in self._white_box.parameters],
             'stamp_ns': self._stamp_ns,
             **self._schedule.state(),
             'gone': self._schedule.place - content.shape[2],
-            'begin': int(self.replay.begin()[0]),
+            'begin': self.replay.begin_of(self._motor),
             'settled': self._learner.is_settled,
             'resumes': self._resumes,
             'rivals': self._learner.has_rivals,
@@ -401,8 +441,10 @@ class RotorUpdate:
         """
         check_parameters(plain, self._white_box.parameters)
         self._check(plain, arrays)
-        self.replay.refill(arrays['replay'], dropped_count=plain['gone'], begin=plain['begin'])
-        self._schedule = WindowSchedule.restored(plain, int(self.replay.received[0]))
+        self.replay.refill(
+            arrays['replay'], self._one, dropped_count=plain['gone'], begin=plain['begin']
+        )
+        self._schedule = WindowSchedule.restored(plain, self.replay.received_of(self._motor))
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         self._resumes = plain['resumes']
         self._learner.restore(plain, arrays)
@@ -443,6 +485,14 @@ class RotorUpdate:
             flag(plain, name)
         if 'rivals' in plain:  # not in files of releases that did not remember it
             flag(plain, 'rivals')
+
+
+def replay_of_rotors(
+    motors: int, rules: RecursiveSettings, *, speed_measured: bool = False
+) -> ReplayBuffer:
+    """Return an empty memory for the samples of rotors."""
+    capacity = max(rules.replay_capacity, WINDOW)
+    return ReplayBuffer(motors, capacity, speed_measured=speed_measured, with_moves=True)
 
 
 def _ended(result: bool) -> Pieces[bool]:

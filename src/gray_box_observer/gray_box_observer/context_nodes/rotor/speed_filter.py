@@ -57,6 +57,26 @@ class SpeedEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class SpeedEstimates:
+    """Speeds of motors at the stamp of their newest sample; NaN where none is told.
+
+    Attributes:
+        speed_rad_s: shape (motor,), in rad/s.
+        std_rad_s: shape (motor,): standard deviations.
+    """
+
+    speed_rad_s: Array
+    std_rad_s: Array
+
+    def of(self, motor: int) -> SpeedEstimate | None:
+        """Return the speed of one motor; None where none is told."""
+        speed_rad_s = self.speed_rad_s.item(motor)
+        if not math.isfinite(speed_rad_s):
+            return None
+        return SpeedEstimate(speed_rad_s, self.std_rad_s.item(motor))
+
+
+@dataclass(frozen=True, eq=False)
 class _Motor:
     """What a filter needs of the parameters of a motor.
 

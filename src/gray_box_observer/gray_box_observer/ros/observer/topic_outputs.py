@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.estimate import all_finite
-from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate, SpeedEstimates
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.ros import topics
@@ -34,6 +34,9 @@ from gray_box_observer.white_box.interface import Array, Parameter
 
 UNTESTED = 0.0
 """Ratio on ``~/<motor>/fit`` where what was tested is forgotten: no real one is so small."""
+
+STD_MOVED = 0.1
+"""Share by which a standard deviation of a speed has moved, of motors that are sampled together."""
 
 NOTHING = (0.0, -1.0)
 """Value and standard deviation on ``~/estimates`` where nothing is known: no real one is negative.
@@ -86,6 +89,7 @@ class Outputs:
             self._parameters[m] = ParameterTopics(node, m, motor.values['context_nodes'])
             if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto'):
                 self._speed_std[m] = LatchedTopic(node, topics.SPEED_STD, motor=m)
+        self._published_std: dict[tuple[str, ...], Array] = {}
         self._open_stamps: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarm_flags: dict[tuple[str, ...], NDArray[np.bool_]] = {}
@@ -101,7 +105,10 @@ class Outputs:
                 open_stamps.clear()  # a history begins: stamps that are awaited may come again
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
-            self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
+            if result.speeds is None:
+                self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
+            else:
+                self._publish_speeds(names, result.sample.stamp_ns, result.speeds)
             if self._alarm and result.estimate is not None:
                 self._publish_changed(result.group, result.changed_motors.tolist(), result.estimate)
 
@@ -117,6 +124,30 @@ class Outputs:
             self._speed(data)
         if std is not None:
             std(self._value.render(speed.std_rad_s))
+
+    def _publish_speeds(
+        self, names: tuple[str, ...], stamp_ns: int, speeds: SpeedEstimates
+    ) -> None:
+        """Publish the speeds of motors that are sampled together, and deviations that have moved.
+
+        A message of its own for every motor at every sample would take more than all else.
+        """
+        data = self._speeds.render(names, stamp_ns, speeds.speed_rad_s)
+        if data is not None:
+            self._speed(data)
+        if not self._speed_std:
+            return
+        nothing = np.full(len(names), np.nan)
+        published_std = self._published_std.setdefault(names, nothing)
+        std = speeds.std_rad_s
+        is_near = np.abs(std - published_std) <= STD_MOVED * published_std
+        for motor in np.flatnonzero(~(is_near | (np.isnan(std) & np.isnan(published_std)))).tolist():
+            topic = self._speed_std[names[motor]]
+            published_std[motor] = std[motor]
+            if math.isnan(std[motor]):
+                topic.retract()
+            else:
+                topic(self._value.render(std.item(motor)))
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""

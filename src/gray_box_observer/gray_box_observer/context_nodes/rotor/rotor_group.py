@@ -1,0 +1,239 @@
+"""Rotors that are sampled together: one memory for all, and a rule for each.
+
+Every sample is remembered for all of them at once. A motor is looked at where a fit of it is due or
+under way. Of many that are due a few have their turn at every sample, so that motors which began
+together do not hold each other up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
+from gray_box_observer.context_nodes.pieces import (
+    LARGEST_SHARE,
+    SAVED,
+    SHARE,
+    SHARE_A_SECOND,
+)
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
+from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate, replay_of_rotors
+from gray_box_observer.samples.group_merger import GroupMerger
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+FEW, ROUND = 8, 128
+"""Motors that have a turn at a sample, at least, and samples in which every motor has one, if all
+wait for one."""
+
+
+class RotorGroup:
+    """Context nodes of motors with rotors that are sampled together.
+
+    Args:
+        white_boxes: physics of each.
+        initial: shape (motor, parameter): where to start, SI units.
+        rules: settings, as of :class:`RotorUpdate`.
+        verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (motor, parameter): how well the initial values are known.
+    """
+
+    def __init__(
+        self,
+        white_boxes: Sequence[MotorWhiteBox],
+        initial: Array,
+        rules: RecursiveSettings | None = None,
+        verdict_rules: VerdictSettings | None = None,
+        initial_relative_std: Array | None = None,
+    ) -> None:
+        rules = rules or RecursiveSettings()
+        count = len(white_boxes)
+        self.replay = replay_of_rotors(count, rules)
+        self._verdict_rules = verdict_rules or VerdictSettings()
+        stds = initial_relative_std
+        self.motors = [
+            RotorUpdate(
+                white_box,
+                initial[place : place + 1],
+                rules,
+                self._verdict_rules,
+                None if stds is None else stds[place : place + 1],
+                merges_held=False,
+                replay=self.replay,
+                motor=place,
+            )
+            for place, white_box in enumerate(white_boxes)
+        ]
+        self._merger = GroupMerger(count)
+        self._theta = np.concatenate([motor.theta for motor in self.motors])
+        self._place = np.zeros(count, dtype=np.int64)
+        self._due = np.array([motor.due for motor in self.motors])
+        self._credit = np.full(count, SAVED)
+        self._is_fitting = np.zeros(count, dtype=bool)
+        self._resuming: NDArray[np.bool_] | None = None
+        self._is_frozen = False
+        self._stamp_ns = 0
+        self._turn = 0
+        self.changed: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+
+    @property
+    def verdict_rules(self) -> VerdictSettings:
+        """When a parameter counts as identified; may be changed at any time."""
+        return self._verdict_rules
+
+    @verdict_rules.setter
+    def verdict_rules(self, rules: VerdictSettings) -> None:
+        self._verdict_rules = rules
+        for motor in self.motors:
+            motor.verdict_rules = rules
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (motor, parameter)."""
+        return self._theta
+
+    def learn(self, sample: Sample) -> bool:
+        """Take one sample, and let motors whose fit is due or under way go on; some may have to
+        wait.
+
+        Returns:
+            Whether an estimate has changed; :attr:`changed` tells whose.
+        """
+        self.changed = np.zeros(self.changed.size, dtype=bool)
+        self._stamp_ns = sample.stamp_ns
+        if self._is_frozen:
+            return False
+        if self._resuming is not None:
+            sample, self._resuming = sample.resuming(self._resuming)
+        for one in self._merger.step(sample):
+            self.replay.append(one)
+            self._place += 1 if one.present is None else one.present
+        share = np.clip(SHARE_A_SECOND * sample.interval_s, SHARE, LARGEST_SHARE).astype(int)
+        if sample.present is not None:
+            share = np.where(sample.present, share, 0)
+        self._credit = np.minimum(self._credit + share, SAVED)
+        waiting = np.flatnonzero((self._place >= self._due) | self._is_fitting)
+        waiting = waiting[self._credit[waiting] > 0]
+        if waiting.size == 0:
+            return False
+        for place in self._in_turn(waiting):
+            self._go_on(place)
+        return bool(self.changed.any())
+
+    def _in_turn(self, waiting: NDArray[np.intp]) -> list[int]:
+        """Return those of some motors whose turn it is."""
+        most = max(FEW, -(-self.changed.size // ROUND))
+        if waiting.size > most:
+            first = int(np.searchsorted(waiting, self._turn))
+            waiting = np.roll(waiting, -first)[:most]
+            self._turn = int(waiting[-1]) + 1
+        places: list[int] = waiting.tolist()
+        return places
+
+    def _go_on(self, place: int) -> None:
+        """Let one motor go on with its fit."""
+        motor = self.motors[place]
+        self.changed[place], self._credit[place] = motor.go_on_at(
+            self._place.item(place), self._stamp_ns, self._credit.item(place)
+        )
+        self._take(place)
+
+    def _take(self, place: int) -> None:
+        """Take note of where one motor stands."""
+        motor = self.motors[place]
+        self._theta = self._theta.copy()
+        self._theta[place] = motor.theta[0]
+        self._due[place] = motor.due
+        self._is_fitting[place] = motor.fitting is not None
+
+    def of(self, motor: int) -> RotorUpdate:
+        """Return the rule of one motor."""
+        return self.motors[motor]
+
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
+        places = np.arange(len(self.motors))[selection]
+        estimates = [self.motors[place].estimate() for place in np.atleast_1d(places).tolist()]
+        return Estimate(
+            self._stamp_ns,
+            estimates[0].parameters,
+            np.concatenate([one.value for one in estimates]),
+            np.concatenate([one.covariance for one in estimates]),
+            tuple(one.verdicts[0] for one in estimates),
+        )
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """Fits, windows that no fit was found for, and changes; of one motor or of all."""
+        if motor is not None:
+            return self.motors[motor].counters()
+        totals: dict[str, int] = {}
+        for one in self.motors:
+            for name, count in one.counters().items():
+                totals[name] = totals.get(name, 0) + count
+        return totals
+
+    def present_since(self, motor: int) -> int:
+        """Return the place from which one motor is the present one: that of its last change."""
+        return self.motors[motor].present_since(motor)
+
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether one motor is known to drift: this rule never asks."""
+        return False
+
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return one motor's voltage shares per unit of parameter, and their 3-sigma bound."""
+        return self.motors[motor].voltage_shares(motor)
+
+    def freeze(self, is_frozen: bool) -> None:
+        """Stop or resume learning; a new signal history follows what comes while frozen."""
+        if is_frozen == self._is_frozen:
+            return
+        self._is_frozen = is_frozen
+        self._resuming = None if is_frozen else np.ones(self.changed.size, dtype=bool)
+        for motor in self.motors:
+            motor.freeze(is_frozen)
+
+    def finish(self) -> list[int]:
+        """Do what is left of fits, for no samples will come; return whose estimates have changed.
+
+        Before a full window there is another fit.
+        """
+        changed_motors = []
+        for place, motor in enumerate(self.motors):
+            motor.note(self._place.item(place), self._stamp_ns, self._credit.item(place))
+            if motor.finish():
+                changed_motors.append(place)
+            self._take(place)
+        return changed_motors
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as :meth:`RotorUpdate.state` has it."""
+        own = self.motors[motor]
+        own.note(self._place.item(motor), self._stamp_ns, self._credit.item(motor))
+        plain, arrays = own.state()
+        is_resuming = self._resuming is not None and bool(self._resuming[motor])
+        return {**plain, 'resumes': is_resuming, 'merger': self._merger.state(motor)}, arrays
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave of one motor.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters.
+            CheckpointError: it is no state that could have been learnt.
+        """
+        own = self.motors[motor]
+        own.restore(plain, arrays)
+        if 'merger' in plain:
+            self._merger.restore(plain['merger'], motor)
+        self._place[motor] = self.replay.received_of(motor)
+        self._credit[motor] = own.credit
+        self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
+        resuming = np.zeros(self.changed.size, bool) if self._resuming is None else self._resuming
+        resuming[motor] = plain['resumes']
+        self._resuming = resuming if resuming.any() else None
+        self._take(motor)
