@@ -39,6 +39,12 @@ FINISHED = 16 * SAVED
 AT_ONCE = 4096
 """Work at one sample, at most, beside what the last piece takes beyond it."""
 
+WORK_S = 0.33e-6
+"""Time that a unit of work takes, in s, as a share of the time is reckoned by it."""
+
+MOST_TURNS = 4
+"""Pieces of such work that motors which are computed together save up, at most."""
+
 
 def completed(pieces: Pieces[Result]) -> Result:
     """Do all of the work at once and return its result."""
@@ -89,6 +95,27 @@ def completed_within(work: Pieces[Result], most: int) -> Result | None:
 def granted_share(interval_s: float) -> int:
     """Return the work that a sample grants, by the time in s since the one before."""
     return int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
+
+
+class SharedBudget:
+    """Work that motors which are computed together may take in turn, a share of the time.
+
+    Args:
+        share: of a core.
+
+    Attributes:
+        share: as given.
+        credit: work that is granted and not done; negative where more was done at once.
+    """
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+        self.credit = 0.0
+
+    def grant(self, interval_s: float) -> None:
+        """Take note of a sample, so long after the one before by their stamps; 0: not known."""
+        work = max(self.share * interval_s / WORK_S, SHARE)
+        self.credit = min(self.credit + work, MOST_TURNS * AT_ONCE)
 
 
 class WorkBudget:

@@ -185,6 +185,10 @@ class FitSchedule:
         """
         return self._calm_ranges[motor].covers(estimate)
 
+    def has_moved(self, motor: int) -> bool:
+        """Tell whether the estimate is another motor's than was tested."""
+        return motor in self._movers
+
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
         return motor in self._movers or not self._has_passed[motor]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes import RotorGroup, RotorUpdate
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict
 from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
@@ -21,10 +22,13 @@ from gray_box_observer.fit_test.estimate_limit import EstimateLimit
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
+from gray_box_observer.fit_test.noise_alone import leaves_noise_alone
 from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
 from gray_box_observer.fit_test.speed_basis import SpeedBasis
 from gray_box_observer.fit_test.window_test import RECENT, WindowTest
 from gray_box_observer.safe_io.saved_state import group
+from gray_box_observer.samples.replay_buffer import VOLTAGE
+from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -118,6 +122,27 @@ class FitMonitor:
         self._withheld_motors.add(motor)
         self._limits[motor] = EstimateLimit(self._tests[motor].white_box.parameters, None)
         self._assessments[motor] = _UNTESTED
+
+    def leaves_noise_alone(self, nodes: ContextUpdate, motor: int) -> bool:
+        """Tell whether the newest samples of a rotor leave noise alone; False: a test is to tell.
+
+        Args:
+            nodes: the rule that has learnt it.
+            motor: its place on the motor axis.
+        """
+        rule = nodes.of(motor) if isinstance(nodes, RotorGroup) else nodes
+        test = self._tests[motor]
+        if type(rule) is not RotorUpdate or rule.knows_voltage_noise or rule.noise_memory:
+            return False
+        one = slice(motor, motor + 1)
+        count = int(min(nodes.replay.remembered(one)[0], RECENT))
+        samples = nodes.replay.newest(count, one)[:, 0]
+        if count < test.fewest or is_held(samples[VOLTAGE]):
+            return False
+        if not leaves_noise_alone(test.white_box, nodes.theta[motor], samples):
+            return False
+        self.schedule.begin_test(motor, nodes.replay.received_of(motor))
+        return True
 
     def test_newest(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate

@@ -323,7 +323,8 @@ def context_nodes(
     rules = RecursiveSettings(**configuration.group('recursive'))
     if white_box.has_rotor and len(motors) > 1:
         boxes = [motor.white_box(speed_measured=False) for motor in motors]
-        return RotorGroup(boxes, initial, rules, verdicts, relative_std)
+        share = configuration['group_core_share']
+        return RotorGroup(boxes, initial, rules, verdicts, relative_std, 0.5 * share)
     if white_box.has_rotor:
         merges_held = not _makes_voltage(motors)
         return RotorUpdate(

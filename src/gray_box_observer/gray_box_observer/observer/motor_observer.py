@@ -24,6 +24,7 @@ from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.group_speeds import GroupSpeeds
+from gray_box_observer.observer.group_tests import RotorGroupTests
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
@@ -104,11 +105,12 @@ class MotorObserver:
     def _use(self, form: MotorForm) -> None:
         """Observe the motors by a form from now on."""
         self.white_box = form.white_box
-        self.context_nodes = form.context_nodes
+        self.context_nodes = nodes = form.context_nodes
         self.delay = form.delay
         self._fit = form.fit
         self._belief = ParameterBelief(form)
-        self._tests = PendingTests(
+        tests_type = RotorGroupTests if isinstance(nodes, RotorGroup) else PendingTests
+        self._tests = tests_type(
             self._belief, form.fit.schedule, form.delay, self._know, self._note_test
         )
         self._forecasting = form.make_forecasting()
@@ -197,7 +199,7 @@ class MotorObserver:
         """
         if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
-        self._tests.begin_sample()
+        self._tests.begin_sample(float(sample.interval_s.max()))
         sample = self._follow_path(sample)
         prediction = self._predict(sample.interval_s, sample.voltage_v)
         belief = self._belief

@@ -24,6 +24,7 @@ from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.observer.lag_doubt import LagDoubt
 from gray_box_observer.observer.level_doubt import LevelDoubt
@@ -192,6 +193,14 @@ class ParameterBelief:
         return self._compared(
             motor, estimate, partial(test, self.context_nodes, estimate, motor, delay)
         )
+
+    def leaves_noise_alone(self, motor: int) -> bool:
+        """Look at the newest samples of a rotor that has passed; False: a test is to tell."""
+        return self._fit.leaves_noise_alone(self.context_nodes, motor)
+
+    def tested_count(self, motor: int) -> int:
+        """Return how many samples a test of one motor takes at most."""
+        return int(min(self.context_nodes.replay.remembered(slice(motor, motor + 1))[0], WINDOW))
 
     def begin_test(self, motor: int, delay: DelayEstimate) -> Pieces[FitResult] | None:
         """Begin to test the fit of one motor by all samples that count; None: too few."""

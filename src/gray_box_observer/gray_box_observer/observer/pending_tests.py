@@ -60,8 +60,12 @@ class PendingTests:
         """Whether something is left to be asked or tested before the next sample."""
         return bool(self._tests_due) or self._unscheduled_estimate is not None
 
-    def begin_sample(self) -> None:
-        """Note that a sample has come, behind which there is time for a piece of a test."""
+    def begin_sample(self, interval_s: float) -> None:
+        """Note that a sample has come, behind which there is time for a piece of a test.
+
+        Args:
+            interval_s: time since the one before; 0: not known.
+        """
         if self._open_test is not None:
             self._open_test.begin_sample()
 
@@ -94,14 +98,27 @@ class PendingTests:
         """Do tests that are due, or begin one whose result counts with the next estimate."""
         tests, self._tests_due = self._tests_due, []
         for motor, is_recent in tests:
-            if is_recent or not self._is_in_pieces:
-                estimate = self.test(motor, is_out=True, is_recent=is_recent)
-                self._keep(estimate, slice(motor, motor + 1))
-                continue
-            self.end(is_out=True)
-            work = self._belief.begin_test(motor, self._delay.estimate_of(motor))
-            if work is not None:
-                self._open_test = DeferredFitTest(work)
+            if is_recent:
+                self._test_newest(motor)
+            elif not self._is_in_pieces:
+                self._test_due(motor)
+            else:
+                self.end(is_out=True)
+                work = self._belief.begin_test(motor, self._delay.estimate_of(motor))
+                if work is not None:
+                    self._open_test = DeferredFitTest(work)
+
+    def _test_due(self, motor: int) -> None:
+        """Test one motor whose estimate has gone out."""
+        self._keep(self.test(motor, is_out=True), slice(motor, motor + 1))
+
+    def _test_newest(self, motor: int) -> None:
+        """Test the newest samples of a rotor, where they are no plain noise."""
+        if self._belief.leaves_noise_alone(motor):
+            self._note(motor, False)
+            return
+        estimate = self.test(motor, is_out=True, is_recent=True)
+        self._keep(estimate, slice(motor, motor + 1))
 
     def begin_estimate(self, estimate: Estimate, motors: NDArray[np.intp]) -> None:
         """Test what a new estimate waits for; what it does not wait for is due behind the sample.

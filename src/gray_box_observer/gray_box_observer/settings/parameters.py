@@ -40,6 +40,14 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         1_000_000,
     ),
     ParameterSpec(
+        'group_core_share',
+        0.2,
+        'Share of a core that fits and tests of motors with a rotor that are computed together may '
+        'take; what is left undone comes later.',
+        0.01,
+        64.0,
+    ),
+    ParameterSpec(
         'motor_topics',
         True,
         'Publish topics of every motor; false: ~/estimates and ~/predicted_torque only.',

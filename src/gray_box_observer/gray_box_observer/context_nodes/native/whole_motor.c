@@ -57,6 +57,81 @@ int64_t whole_motor_follow(const double *p, double torque_constant, const double
     return count;
 }
 
+/* Run freely from a start and take the residual, and the sums of its squares with the derivatives by
+ * both first states: `sums` is that of the products of these, then with the residual. Returns whether
+ * all was followed. */
+static int left(const double *p, double torque_constant, const double *start, int64_t count,
+                const double *voltage, const double *length, const double *reading,
+                const double *limits, double largest_step, int64_t most_steps, int64_t patience,
+                Ladder *ladder, double *residual, double sums[STATES][STATES + 1])
+{
+    double here[STATES], slope[STATES][STATES] = {{1.0, 0.0}, {0.0, 1.0}};
+    int64_t taken = 0;
+    for (int s = 0; s < STATES; s++) {
+        here[s] = start[s];
+        for (int r = 0; r <= STATES; r++) sums[s][r] = 0.0;
+    }
+    for (int64_t k = 0;; k++) {
+        const double off = reading[k] - here[CURRENT];
+        residual[k] = off;
+        for (int s = 0; s < STATES; s++) {
+            for (int r = 0; r < STATES; r++) sums[s][r] += slope[CURRENT][s] * slope[CURRENT][r];
+            sums[s][STATES] += slope[CURRENT][s] * off;
+        }
+        if (k == count) return 1;
+        const int is_ready = ladder_of(p, torque_constant, limits, here, voltage[k], length[k],
+                                       largest_step, ladder);
+        const Stepping by = {largest_step, most_steps, is_ready ? ladder : NULL};
+        const Linear moved =
+            moved_on(p, torque_constant, here, voltage[k], length[k], &by, 0, &taken);
+        if (taken > patience) return 0;
+        double next[STATES][STATES];
+        for (int s = 0; s < STATES; s++) {
+            if (!(absolute(moved.value[s]) <= limits[s])) return 0;
+            here[s] = moved.value[s];
+            for (int r = 0; r < STATES; r++)
+                next[s][r] = moved.by_state[s][CURRENT] * slope[CURRENT][r] +
+                             moved.by_state[s][SPEED] * slope[SPEED][r];
+        }
+        for (int s = 0; s < STATES; s++)
+            for (int r = 0; r < STATES; r++) slope[s][r] = next[s][r];
+    }
+}
+
+/* The residual of `count` intervals that is left where both first states fit best, by Gauss-Newton;
+ * `reading` and `residual` have [count + 1]. It ends where a step would take off less than
+ * `least_gain` mean squares. Returns how many runs there were; 0 where one could not be followed. */
+int64_t whole_motor_residual(const double *p, double torque_constant, int64_t count,
+                             const double *voltage, const double *length, const double *reading,
+                             const double *limits, double largest_step, int64_t most_steps,
+                             int64_t patience, int64_t most_runs, double least_gain,
+                             double *residual)
+{
+    const double turns = p[BACK_EMF_CONSTANT];
+    double start[STATES] = {reading[0], 0.0}, sums[STATES][STATES + 1];
+    if (turns > 0.0) start[SPEED] = (voltage[0] * p[INDUCTANCE] - p[RESISTANCE] * reading[1]) / turns;
+    start[SPEED] = smaller(larger(start[SPEED], -limits[SPEED]), limits[SPEED]);
+    Ladder ladder;
+    ladder_made(p, torque_constant, limits, length[count / 2], &ladder);
+    for (int64_t runs = 1;; runs++) {
+        if (!left(p, torque_constant, start, count, voltage, length, reading, limits, largest_step,
+                  most_steps, patience, &ladder, residual, sums))
+            return 0;
+        const double *a = sums[CURRENT], *b = sums[SPEED];
+        const double size = a[CURRENT] * b[SPEED], product = a[SPEED] * b[CURRENT];
+        double step[STATES] = {a[STATES] / a[CURRENT], 0.0};
+        if (size - product > 1e-9 * size) { /* else friction holds the rotor */
+            step[CURRENT] = (b[SPEED] * a[STATES] - a[SPEED] * b[STATES]) / (size - product);
+            step[SPEED] = (a[CURRENT] * b[STATES] - b[CURRENT] * a[STATES]) / (size - product);
+        }
+        double squares = 0.0;
+        for (int64_t k = 0; k <= count; k++) squares += residual[k] * residual[k];
+        const double gain = step[CURRENT] * a[STATES] + step[SPEED] * b[STATES];
+        if (gain * (double)count <= least_gain * squares || runs == most_runs) return runs;
+        for (int s = 0; s < STATES; s++) start[s] += step[s];
+    }
+}
+
 /* Derivatives of a followed motion by the knots of a load that runs straight between them.
  * `place` is that of every interval among the knots, at most `knots - 1`; `by_knot` has room for
  * [count + 1][STATES][knots]. */

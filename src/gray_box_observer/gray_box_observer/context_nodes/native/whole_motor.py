@@ -21,7 +21,7 @@ _POINTER = ctypes.c_void_p
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
     handle = compiled.load()
-    if handle is None or not hasattr(handle, 'whole_motor_respond'):
+    if handle is None or not hasattr(handle, 'whole_motor_residual'):
         return None
     fingerprint = handle.whole_motor_fingerprint
     run = handle.whole_motor_follow
@@ -29,6 +29,12 @@ def library() -> ctypes.CDLL | None:
     run.argtypes = (
         *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
         *(_NUMBER, _COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
+    )
+    residual = handle.whole_motor_residual
+    residual.restype = _COUNT
+    residual.argtypes = (
+        *(_POINTER, _NUMBER, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER, _NUMBER, _COUNT),
+        *(_COUNT, _COUNT, _NUMBER, _POINTER),
     )
     by_knot = handle.whole_motor_by_knot
     by_knot.restype = None

@@ -1,8 +1,8 @@
 """Rotors that are sampled together: one memory for all, and a rule for each.
 
 Every sample is remembered for all of them at once. A motor is looked at where a fit of it is due or
-under way. Of many that are due a few have their turn at every sample, so that motors which began
-together do not hold each other up.
+under way. All fits together have a share of the time, in which the motors take turns: what is left
+undone comes later. The share is larger as long as many of the motors are new.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.pieces import (
     SAVED,
     SHARE,
     SHARE_A_SECOND,
+    SharedBudget,
 )
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate, replay_of_rotors
@@ -26,10 +27,6 @@ from gray_box_observer.samples.group_merger import GroupMerger
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-FEW, ROUND = 8, 128
-"""Motors that have a turn at a sample, at least, and samples in which every motor has one, if all
-wait for one."""
 
 
 class RotorGroup:
@@ -41,6 +38,7 @@ class RotorGroup:
         rules: settings, as of :class:`RotorUpdate`.
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known.
+        core_share: share of a core that fits may take, or the share of motors that are new.
     """
 
     def __init__(
@@ -50,6 +48,7 @@ class RotorGroup:
         rules: RecursiveSettings | None = None,
         verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
+        core_share: float = 1.0,
     ) -> None:
         rules = rules or RecursiveSettings()
         count = len(white_boxes)
@@ -79,6 +78,9 @@ class RotorGroup:
         self._is_frozen = False
         self._stamp_ns = 0
         self._turn = 0
+        self._core_share = core_share
+        self._budget = SharedBudget(core_share)
+        self._is_new = np.ones(count, dtype=bool)
         self.changed: NDArray[np.bool_] = np.zeros(count, dtype=bool)
 
     @property
@@ -117,38 +119,41 @@ class RotorGroup:
         if sample.present is not None:
             share = np.where(sample.present, share, 0)
         self._credit = np.minimum(self._credit + share, SAVED)
+        self._budget.share = max(self._core_share, float(self._is_new.mean()))
+        self._budget.grant(float(sample.interval_s.max()))
         waiting = np.flatnonzero((self._place >= self._due) | self._is_fitting)
         waiting = waiting[self._credit[waiting] > 0]
         if waiting.size == 0:
             return False
-        for place in self._in_turn(waiting):
+        for place in np.roll(waiting, -int(np.searchsorted(waiting, self._turn))).tolist():
+            if self._budget.credit <= 0:
+                break
             self._go_on(place)
         return bool(self.changed.any())
 
-    def _in_turn(self, waiting: NDArray[np.intp]) -> list[int]:
-        """Return those of some motors whose turn it is."""
-        most = max(FEW, -(-self.changed.size // ROUND))
-        if waiting.size > most:
-            first = int(np.searchsorted(waiting, self._turn))
-            waiting = np.roll(waiting, -first)[:most]
-            self._turn = int(waiting[-1]) + 1
-        places: list[int] = waiting.tolist()
-        return places
-
     def _go_on(self, place: int) -> None:
         """Let one motor go on with its fit."""
-        motor = self.motors[place]
-        self.changed[place], self._credit[place] = motor.go_on_at(
-            self._place.item(place), self._stamp_ns, self._credit.item(place)
+        credit = self._credit.item(place)
+        self.changed[place], self._credit[place] = self.motors[place].go_on_at(
+            self._place.item(place), self._stamp_ns, credit
         )
+        self._budget.credit -= credit - self._credit.item(place)
+        self._turn = place + 1
         self._take(place)
+
+    @property
+    def core_share(self) -> float:
+        """Share of a core that fits may take once most of the motors are known."""
+        return self._core_share
 
     def _take(self, place: int) -> None:
         """Take note of where one motor stands."""
         motor = self.motors[place]
-        self._theta = self._theta.copy()
-        self._theta[place] = motor.theta[0]
+        if self.changed[place]:
+            self._theta = self._theta.copy()
+            self._theta[place] = motor.theta[0]
         self._due[place] = motor.due
+        self._is_new[place] = motor.is_new
         self._is_fitting[place] = motor.fitting is not None
 
     def of(self, motor: int) -> RotorUpdate:
@@ -206,7 +211,8 @@ class RotorGroup:
         changed_motors = []
         for place, motor in enumerate(self.motors):
             motor.note(self._place.item(place), self._stamp_ns, self._credit.item(place))
-            if motor.finish():
+            self.changed[place] = motor.finish()
+            if self.changed[place]:
                 changed_motors.append(place)
             self._take(place)
         return changed_motors
@@ -236,4 +242,5 @@ class RotorGroup:
         resuming = np.zeros(self.changed.size, bool) if self._resuming is None else self._resuming
         resuming[motor] = plain['resumes']
         self._resuming = resuming if resuming.any() else None
+        self.changed[motor] = True
         self._take(motor)
