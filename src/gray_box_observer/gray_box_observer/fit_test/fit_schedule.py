@@ -96,9 +96,7 @@ class FitSchedule:
         most: motors that are tested at one sample of the group, at most; None: one in MANY.
     """
 
-    def __init__(
-        self, fewest: NDArray[np.int_], parameters: int, most: int | None = None
-    ) -> None:
+    def __init__(self, fewest: NDArray[np.int_], parameters: int, most: int | None = None) -> None:
         count = fewest.size
         self._most = max(1, count // MANY) if most is None else most
         self._fewest = fewest

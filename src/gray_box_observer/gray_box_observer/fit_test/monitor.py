@@ -130,7 +130,7 @@ class FitMonitor:
             nodes: the rule that has learnt it.
             motor: its place on the motor axis.
         """
-        rule = nodes.of(motor) if isinstance(nodes, RotorGroup) else nodes
+        rule = nodes.rule(motor) if isinstance(nodes, RotorGroup) else nodes
         test = self._tests[motor]
         if type(rule) is not RotorUpdate or rule.knows_voltage_noise or rule.noise_memory:
             return False

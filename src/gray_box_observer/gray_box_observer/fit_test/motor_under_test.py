@@ -111,7 +111,7 @@ class MotorUnderTest:
             readings,
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
-            knows_voltage_noise(nodes.of(motor) if isinstance(nodes, RotorGroup) else nodes),
+            knows_voltage_noise(nodes.rule(motor) if isinstance(nodes, RotorGroup) else nodes),
         )
 
     def snapshot(self) -> MotorUnderTest:

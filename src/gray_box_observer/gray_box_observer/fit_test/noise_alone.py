@@ -1,8 +1,8 @@
 """Whether a rotor's newest samples leave noise alone, at little cost.
 
-Most tests of a motor that is explained end here. The free run is that of every other test, its first
-states where they fit best. But the residual is not projected on the parameters, which could only make
-it smaller. Where it is no plain noise, a closer look is needed.
+Most tests of a motor that is explained end here. The free run is that of every other test, its
+first states where they fit best. But the residual is not projected on the parameters, which could
+only make it smaller. Where it is no plain noise, a closer look is needed.
 """
 
 from __future__ import annotations

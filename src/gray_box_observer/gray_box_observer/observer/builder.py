@@ -289,8 +289,8 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
 def _can_be_joined(configuration: Configuration, motor: MotorConfiguration) -> bool:
     """Tell whether a motor with a rotor may be computed together with others.
 
-    Each has a prediction of its own, and whatever makes the voltage of commands or whitens the noise
-    of a current is made for one.
+    Each has a prediction of its own. What makes voltages of commands, or whitens the noise of a
+    current, is made for one motor, too.
     """
     is_plain = motor.current_lag is None and not motor.dead_zone_v and motor.noise_memory == 0.0
     load_varies = motor.white_box(speed_measured=False).load_varies

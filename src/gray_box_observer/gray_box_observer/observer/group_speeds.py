@@ -1,6 +1,6 @@
 """Speeds of motors with rotors that are sampled together, from sample to sample.
 
-What :mod:`speed_tracking` and :mod:`stall_watch` do of one motor, in arrays of shape (motor,).
+What :mod:`speed_tracking` does of one motor, in arrays of shape (motor,).
 """
 
 from __future__ import annotations
@@ -18,14 +18,9 @@ from gray_box_observer.context_nodes.rotor.speed_filter import (
     SpeedEstimates,
 )
 from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.observer.group_stalls import GroupStalls
 from gray_box_observer.observer.speed_tracking import SpeedTracking
-from gray_box_observer.observer.stall_watch import (
-    LEAST_DROP,
-    LEAST_V,
-    SHORTEST_S,
-    STILL,
-    StallWatch,
-)
+from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -46,7 +41,7 @@ class GroupSpeeds:
         count = len(white_boxes)
         self._bank = FilterBank(count)
         self._motors = [
-            SpeedTracking(white_box, nodes.of(place), bank=self._bank, place=place)
+            SpeedTracking(white_box, nodes.rule(place), bank=self._bank, place=place)
             for place, white_box in enumerate(white_boxes)
         ]
         self._torque_constant = np.array([float(box.torque_constant) for box in white_boxes])
@@ -55,7 +50,7 @@ class GroupSpeeds:
         self._resistance_std = np.zeros(count)
         self._is_known = np.zeros(count, dtype=bool)
         self._is_credible = np.zeros(count, dtype=bool)
-        self._stalls = GroupStalls(count)
+        self._stalls = GroupStalls(self._back_emf)
         self.newest = SpeedEstimates(np.full(count, np.nan), np.full(count, np.nan))
 
     def believe(self, motor: int, theta: Array, covariance: Array, fit: FitAssessment) -> None:
@@ -86,13 +81,12 @@ class GroupSpeeds:
                 current_a.item(place),
             )
             if own is not None:
-                speed[place], std[place] = own.speed_rad_s, own.std_rad_s
+                speed[place] = own.speed_rad_s
+                std[place] = own.std_rad_s
         self.newest = SpeedEstimates(
             np.where(self._is_credible, speed, np.nan), np.where(self._is_credible, std, np.nan)
         )
-        self._stalls.step(
-            sample, current_a, self.newest.speed_rad_s, self._resistance, self._back_emf
-        )
+        self._stalls.step(sample, current_a, self.newest.speed_rad_s, self._resistance)
         return self.newest
 
     def _followed(
@@ -104,9 +98,9 @@ class GroupSpeeds:
         larger_v = np.where(motors, np.abs(sample.voltage_v), 0.0)
         bank.largest_v = np.maximum(bank.largest_v, larger_v)
         no_load_speed = bank.largest_v / self._back_emf
-        bank.known[motors, NO_LOAD_SPEED] = no_load_speed[motors]
+        bank.constants[motors, NO_LOAD_SPEED] = no_load_speed[motors]
         bank.step(np.flatnonzero(motors))
-        speed, variance = bank.agreed.T
+        speed, variance = bank.mixture.T
         variance = variance + (self._resistance_std * current_a / self._back_emf) ** 2
         variance += (FINEST * no_load_speed) ** 2
         is_told = motors & np.isfinite(speed) & (variance >= 0.0) & (variance < np.inf)
@@ -116,65 +110,8 @@ class GroupSpeeds:
 
     def stall_of(self, motor: int) -> StallWatch:
         """Whether one motor stands still though it is driven."""
-        return self._stalls.of(motor)
+        return self._stalls.watch(motor)
 
     def speed_of(self, motor: int) -> SpeedEstimate | None:
         """Speed of one motor at the newest sample; None where none may be believed."""
-        return self.newest.of(motor)
-
-
-class GroupStalls:
-    """Follows which of some motors stall.
-
-    Args:
-        motors: how many.
-    """
-
-    def __init__(self, motors: int) -> None:
-        self._still_s = np.zeros(motors)
-        self._voltage_v = np.zeros(motors)
-        self._current_a = np.zeros(motors)
-        self._largest_v = np.zeros(motors)
-        self._resistance = np.zeros(motors)
-        self._back_emf = np.zeros(motors)
-        self._count = np.zeros(motors, dtype=int)
-
-    def step(
-        self, sample: Sample, current_a: Array, speed_rad_s: Array, resistance: Array, back_emf: Array
-    ) -> None:
-        """Go on by one sample; see :meth:`StallWatch.step`.
-
-        Args:
-            sample: the newest.
-            current_a: shape (motor,): at the sample.
-            speed_rad_s: shape (motor,): likewise; NaN where none may be believed.
-            resistance, back_emf: shape (motor,): R in ohm and Kb in V s/rad.
-        """
-        here = True if sample.present is None else sample.present
-        is_told = np.isfinite(speed_rad_s)
-        voltage_v = sample.voltage_v
-        size_v = np.abs(voltage_v)
-        self._resistance = np.where(is_told, resistance, self._resistance)
-        self._back_emf = np.where(is_told, back_emf, self._back_emf)
-        self._voltage_v = np.where(here, voltage_v, self._voltage_v)
-        self._current_a = np.where(here, current_a, self._current_a)
-        self._largest_v = np.where(here, np.maximum(self._largest_v, size_v), self._largest_v)
-        drop = self._resistance * current_a * voltage_v
-        is_driven = (size_v >= LEAST_V * self._largest_v) & (voltage_v != 0.0)
-        is_driven &= drop >= LEAST_DROP * voltage_v**2
-        was_stalled = self._still_s >= SHORTEST_S
-        is_slow = self._back_emf * np.abs(speed_rad_s) < STILL * size_v
-        is_still = np.where(is_told, is_slow, was_stalled)
-        lasts = is_driven & is_still & (sample.interval_s > 0.0)
-        still_s = np.where(lasts, self._still_s + sample.interval_s, 0.0)
-        self._still_s = np.where(here, still_s, self._still_s)
-        self._count += (self._still_s >= SHORTEST_S) & ~was_stalled
-
-    def of(self, motor: int) -> StallWatch:
-        """Return what is known of one motor."""
-        watch = StallWatch()
-        watch.still_s = self._still_s.item(motor)
-        watch.voltage_v = self._voltage_v.item(motor)
-        watch.current_a = self._current_a.item(motor)
-        watch.count = self._count.item(motor)
-        return watch
+        return self.newest.estimate(motor)

@@ -35,7 +35,7 @@ class RotorGroupTests(PendingTests):
         nodes = self._belief.context_nodes
         assert isinstance(nodes, RotorGroup)
         self._budget = SharedBudget(nodes.core_share)
-        self._waiting: dict[int, None] = {}  # motors whose estimates are to be tested, in order
+        self._waiting_motors: dict[int, None] = {}  # in the order of their estimates
         self._looks = 0  # since the last test
 
     @property
@@ -58,9 +58,9 @@ class RotorGroupTests(PendingTests):
         for motor in self._schedule.due(replay, estimate, motors):
             if self._schedule.has_moved(motor):
                 self.test(motor, is_out=False)
-                self._waiting.pop(motor, None)
+                self._waiting_motors.pop(motor, None)
             else:
-                self._waiting[motor] = None
+                self._waiting_motors[motor] = None
 
     def schedule_newest(self) -> None:
         """Newest samples are looked at in turn, whoever asks."""
@@ -69,9 +69,9 @@ class RotorGroupTests(PendingTests):
         """Test and look as long as there is time."""
         stale_motors: list[int] | None = None
         while self._budget.credit > 0.0:
-            if self._waiting and (self._looks >= LOOKS_A_TEST or stale_motors == []):
-                motor = next(iter(self._waiting))
-                del self._waiting[motor]
+            if self._waiting_motors and (self._looks >= LOOKS_A_TEST or stale_motors == []):
+                motor = next(iter(self._waiting_motors))
+                del self._waiting_motors[motor]
                 self._looks = 0
                 self._test_due(motor)
                 continue
@@ -81,7 +81,7 @@ class RotorGroupTests(PendingTests):
                 self._looks += 1
                 self._budget.credit -= WORK_OF_LOOK
                 self._test_newest(stale_motors.pop(0))
-            elif not self._waiting:
+            elif not self._waiting_motors:
                 return
 
     def complete_due(self) -> None:
@@ -103,4 +103,4 @@ class RotorGroupTests(PendingTests):
     def give_up(self) -> None:
         """Forget what waits."""
         super().give_up()
-        self._waiting = {}
+        self._waiting_motors = {}

@@ -146,5 +146,5 @@ class GroupResult:
                 sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one],
                 sample.torque_nm[one], sample.speed_rad_s[one],
             )  # fmt: skip
-            speed = None if self.speeds is None else self.speeds.of(motor)
+            speed = None if self.speeds is None else self.speeds.estimate(motor)
             yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]), speed)

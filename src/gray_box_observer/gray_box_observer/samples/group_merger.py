@@ -67,8 +67,8 @@ class GroupMerger:
         plain = here & ~is_merged
         if not (plain | is_full).any():
             return kept_samples
-        mixed = self._merged(sample, is_full)
-        kept_samples.append(_chosen(sample, mixed, is_full, plain | is_full))
+        mixture = self._merged(sample, is_full)
+        kept_samples.append(_chosen(sample, mixture, is_full, plain | is_full))
         self._drop(is_full)
         return kept_samples
 

@@ -84,7 +84,7 @@ class Joining(Protocol):
             torque_nm: the torque.
             speed_rad_s: the speed.
             gap_ns: a motor that was absent for longer starts its history anew.
-            moment_v: first moment of the voltage (:meth:`HeldVoltage.moment`); None: it is not told.
+            moment_v: first moment of the voltage (:meth:`HeldVoltage.moment`); None: not told.
         """
 
     def refusal_counts(self, motor: int) -> RefusalCounts:
@@ -310,10 +310,8 @@ class ManyMotors:
         if self._regular and passed_ns is not None and np.isfinite(torque_nm + mean_v).all():
             interval_s = np.full(mean_v.size, seconds(passed_ns))
             own_moment_v = None if moment_v is None else np.full(mean_v.size, moment_v)
-            return Sample(
-                stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, own_moment_v
-            )
-        is_longer = self._owed_ns > 0  # its interval is not that of the group, as far as there is one
+            return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, own_moment_v)
+        is_longer = self._owed_ns > 0  # than the interval of the group
         here = ~np.isnan(torque_nm)
         span_ns = (
             self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
@@ -341,9 +339,7 @@ class ManyMotors:
             end_v = np.where(has_one, mean_v, end_v)
             moment_v = np.where(has_one, 0.0, moment_v)
         if self._regular:
-            return Sample(
-                stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, moment_v
-            )
+            return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, moment_v)
         # what was refused with its torque must not be seen by anybody
         voltage_v = np.where(here, mean_v, 0.0)
         speed = np.where(here, speed, np.nan)

@@ -78,9 +78,7 @@ class Sample(NamedTuple):
             x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s)
         )
         present = None if self.present is None else self.present[index]
-        held_v, moment_v = (
-            None if x is None else x[index] for x in (self.held_v, self.moment_v)
-        )
+        held_v, moment_v = (None if x is None else x[index] for x in (self.held_v, self.moment_v))
         return Sample(
             self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present,
             held_v, moment_v,

@@ -37,7 +37,7 @@ LOADED = STATES + 1
 """States of a filter: those of the motor, and the load over the inertia."""
 
 NO_LOAD_SPEED = 2
-"""Place of the no-load speed among what is known of a motor."""
+"""Place of the no-load speed among the constants of a motor."""
 
 _COVARIANCE = LOADED + LOADED**2
 _FILTER = _COVARIANCE + 2  # and log-likelihood and share
@@ -55,10 +55,10 @@ class FilterBank:
         covariance: shape (motor, filter, state, state).
         log_likelihood: shape (motor, filter).
         p: shape (motor, coordinate): coordinates of every motor's motion.
-        known: shape (motor, 4): Kt in N m/A, noise in A, no-load speed in rad/s and mechanical time
-            constant in s.
+        constants: shape (motor, 4): Kt in N m/A, noise in A, no-load speed in rad/s and mechanical
+            time constant in s.
         samples: shape (motor, 3): interval in s, voltage in V and measured current in A.
-        agreed: shape (motor, 2): speed that the filters agree on, and its variance.
+        mixture: shape (motor, 2): speed that the filters agree on, and its variance.
         largest_v: shape (motor,): largest voltage so far, in V.
         is_running: shape (motor,): whether the newest sample could be followed.
         can_step: whether there is compiled code.
@@ -72,9 +72,9 @@ class FilterBank:
         )
         self.log_likelihood: Array = filters[:, :, _COVARIANCE]
         self.p: Array = np.zeros((motors, len(TERMS)))
-        self.known: Array = np.zeros((motors, 4))
+        self.constants: Array = np.zeros((motors, 4))
         self.samples: Array = np.zeros((motors, 3))
-        self.agreed: Array = np.full((motors, 2), np.nan)
+        self.mixture: Array = np.full((motors, 2), np.nan)
         self.largest_v: Array = np.full(motors, LEAST_V)
         self.is_running: NDArray[np.bool_] = np.zeros(motors, dtype=bool)
         self._library = filtered_speed.library() if is_compiled else None
@@ -88,8 +88,8 @@ class FilterBank:
         self._ladders = np.zeros((motors, self._library.filtered_speed_ladder_size()))
         self._filters = filters
         self._arguments = (
-            self._settings, pointer(WALKS), WALKS.size, pointer(self.p), pointer(self.known),
-            pointer(self._ladders), pointer(self.samples), pointer(filters), pointer(self.agreed),
+            self._settings, pointer(WALKS), WALKS.size, pointer(self.p), pointer(self.constants),
+            pointer(self._ladders), pointer(self.samples), pointer(filters), pointer(self.mixture),
         )  # fmt: skip
 
     def renew(self, motor: int, p: Array) -> None:
@@ -99,7 +99,7 @@ class FilterBank:
             self._ladders[motor] = 0.0
 
     def step(self, motors: NDArray[np.int64]) -> None:
-        """Go on by the newest sample of some motors; what is agreed is NaN where that cannot be.
+        """Go on by the newest sample of some motors; the mixture is NaN where that cannot be.
 
         Args:
             motors: their places, shape (n,).

@@ -28,6 +28,12 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+MOST_UNDER_WAY = 4
+"""Fits that are under way at a time: each holds its samples and runs."""
+
+LEAST_WORK = 100
+"""Work of a motor's turn at least: a voltage that was held is soon looked through."""
+
 
 class RotorGroup:
     """Context nodes of motors with rotors that are sampled together.
@@ -74,14 +80,14 @@ class RotorGroup:
         self._due = np.array([motor.due for motor in self.motors])
         self._credit = np.full(count, SAVED)
         self._is_fitting = np.zeros(count, dtype=bool)
-        self._resuming: NDArray[np.bool_] | None = None
+        self._is_beginning: NDArray[np.bool_] | None = None
         self._is_frozen = False
         self._stamp_ns = 0
         self._turn = 0
         self._core_share = core_share
         self._budget = SharedBudget(core_share)
         self._is_new = np.ones(count, dtype=bool)
-        self.changed: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self._has_changed: NDArray[np.bool_] = np.zeros(count, dtype=bool)
 
     @property
     def verdict_rules(self) -> VerdictSettings:
@@ -95,23 +101,40 @@ class RotorGroup:
             motor.verdict_rules = rules
 
     @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimates the last sample has changed, shape (motor,)."""
+        return self._has_changed
+
+    @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
         return self._theta
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample, and let motors whose fit is due or under way go on; some may have to
-        wait.
+        """Take one sample, and let motors in turn go on with fits that are due or under way.
 
         Returns:
-            Whether an estimate has changed; :attr:`changed` tells whose.
+            Whether an estimate has changed; see :attr:`changed`.
         """
-        self.changed = np.zeros(self.changed.size, dtype=bool)
+        self._has_changed = np.zeros(self._has_changed.size, dtype=bool)
         self._stamp_ns = sample.stamp_ns
         if self._is_frozen:
             return False
-        if self._resuming is not None:
-            sample, self._resuming = sample.resuming(self._resuming)
+        if self._is_beginning is not None:
+            sample, self._is_beginning = sample.resuming(self._is_beginning)
+        self._remember(sample)
+        self._budget.share = max(self._core_share, float(self._is_new.mean()))
+        self._budget.grant(float(sample.interval_s.max()))
+        while self._budget.credit > 0:
+            places = self._next_places()
+            if not places:
+                break
+            for place in places:
+                self._go_on(place)
+        return bool(self._has_changed.any())
+
+    def _remember(self, sample: Sample) -> None:
+        """Take one sample without a fit."""
         for one in self._merger.step(sample):
             self.replay.append(one)
             self._place += 1 if one.present is None else one.present
@@ -119,26 +142,29 @@ class RotorGroup:
         if sample.present is not None:
             share = np.where(sample.present, share, 0)
         self._credit = np.minimum(self._credit + share, SAVED)
-        self._budget.share = max(self._core_share, float(self._is_new.mean()))
-        self._budget.grant(float(sample.interval_s.max()))
-        waiting = np.flatnonzero((self._place >= self._due) | self._is_fitting)
-        waiting = waiting[self._credit[waiting] > 0]
-        if waiting.size == 0:
-            return False
-        for place in np.roll(waiting, -int(np.searchsorted(waiting, self._turn))).tolist():
-            if self._budget.credit <= 0:
-                break
-            self._go_on(place)
-        return bool(self.changed.any())
+
+    def _next_places(self) -> list[int]:
+        """Return who goes on next: few, so that none has begun long before it ends."""
+        can_go_on = self._credit > 0
+        places: list[int] = np.flatnonzero(self._is_fitting & can_go_on).tolist()
+        if len(places) >= MOST_UNDER_WAY:
+            return places[:MOST_UNDER_WAY]
+        is_due = (self._place >= self._due) & can_go_on & ~self._is_fitting
+        due_places = np.flatnonzero(is_due)
+        if due_places.size == 0:
+            return places
+        first = int(np.searchsorted(due_places, self._turn)) % due_places.size
+        self._turn = int(due_places[first]) + 1
+        return [*places, int(due_places[first])]
 
     def _go_on(self, place: int) -> None:
         """Let one motor go on with its fit."""
         credit = self._credit.item(place)
-        self.changed[place], self._credit[place] = self.motors[place].go_on_at(
+        has_changed, self._credit[place] = self.motors[place].go_on_at(
             self._place.item(place), self._stamp_ns, credit
         )
-        self._budget.credit -= credit - self._credit.item(place)
-        self._turn = place + 1
+        self._has_changed[place] |= has_changed
+        self._budget.credit -= max(credit - self._credit.item(place), LEAST_WORK)
         self._take(place)
 
     @property
@@ -149,14 +175,14 @@ class RotorGroup:
     def _take(self, place: int) -> None:
         """Take note of where one motor stands."""
         motor = self.motors[place]
-        if self.changed[place]:
+        if self._has_changed[place]:
             self._theta = self._theta.copy()
             self._theta[place] = motor.theta[0]
         self._due[place] = motor.due
         self._is_new[place] = motor.is_new
         self._is_fitting[place] = motor.fitting is not None
 
-    def of(self, motor: int) -> RotorUpdate:
+    def rule(self, motor: int) -> RotorUpdate:
         """Return the rule of one motor."""
         return self.motors[motor]
 
@@ -199,7 +225,7 @@ class RotorGroup:
         if is_frozen == self._is_frozen:
             return
         self._is_frozen = is_frozen
-        self._resuming = None if is_frozen else np.ones(self.changed.size, dtype=bool)
+        self._is_beginning = None if is_frozen else np.ones(self._has_changed.size, dtype=bool)
         for motor in self.motors:
             motor.freeze(is_frozen)
 
@@ -211,8 +237,8 @@ class RotorGroup:
         changed_motors = []
         for place, motor in enumerate(self.motors):
             motor.note(self._place.item(place), self._stamp_ns, self._credit.item(place))
-            self.changed[place] = motor.finish()
-            if self.changed[place]:
+            self._has_changed[place] = motor.finish()
+            if self._has_changed[place]:
                 changed_motors.append(place)
             self._take(place)
         return changed_motors
@@ -222,8 +248,8 @@ class RotorGroup:
         own = self.motors[motor]
         own.note(self._place.item(motor), self._stamp_ns, self._credit.item(motor))
         plain, arrays = own.state()
-        is_resuming = self._resuming is not None and bool(self._resuming[motor])
-        return {**plain, 'resumes': is_resuming, 'merger': self._merger.state(motor)}, arrays
+        resumes = self._is_beginning is not None and bool(self._is_beginning[motor])
+        return {**plain, 'resumes': resumes, 'merger': self._merger.state(motor)}, arrays
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave of one motor.
@@ -239,8 +265,10 @@ class RotorGroup:
         self._place[motor] = self.replay.received_of(motor)
         self._credit[motor] = own.credit
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
-        resuming = np.zeros(self.changed.size, bool) if self._resuming is None else self._resuming
-        resuming[motor] = plain['resumes']
-        self._resuming = resuming if resuming.any() else None
-        self.changed[motor] = True
+        is_beginning = self._is_beginning
+        if is_beginning is None:
+            is_beginning = np.zeros(self._has_changed.size, dtype=bool)
+        is_beginning[motor] = plain['resumes']
+        self._is_beginning = is_beginning if is_beginning.any() else None
+        self._has_changed[motor] = True
         self._take(motor)

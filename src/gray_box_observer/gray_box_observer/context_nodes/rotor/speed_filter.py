@@ -68,7 +68,7 @@ class SpeedEstimates:
     speed_rad_s: Array
     std_rad_s: Array
 
-    def of(self, motor: int) -> SpeedEstimate | None:
+    def estimate(self, motor: int) -> SpeedEstimate | None:
         """Return the speed of one motor; None where none is told."""
         speed_rad_s = self.speed_rad_s.item(motor)
         if not math.isfinite(speed_rad_s):
@@ -133,7 +133,7 @@ class SpeedFilter:
         self._covariance = self._bank.covariance[place]
         self._log_likelihood = self._bank.log_likelihood[place]
         self._sample = self._bank.samples[place]
-        self._agreed = self._bank.agreed[place]
+        self._mixture = self._bank.mixture[place]
         self._torque_constant = float(white_box.torque_constant)
         self._motor: _Motor | None = None
         self._noise_a = 0.0
@@ -170,14 +170,14 @@ class SpeedFilter:
             return None
         if abs(voltage_v) > bank.largest_v[place]:
             bank.largest_v[place] = abs(voltage_v)
-            bank.known[place, NO_LOAD_SPEED] = abs(voltage_v) / motor.back_emf
+            bank.constants[place, NO_LOAD_SPEED] = abs(voltage_v) / motor.back_emf
         more_std = resistance_std * current_a / motor.back_emf
         if begins:
             self._start(motor, noise_a, voltage_v, current_a)
         elif bank.can_step:
             self._sample[:] = interval_s, voltage_v, current_a
             bank.step_at(1, self._to_places)
-            speed, variance = self._agreed.tolist()
+            speed, variance = self._mixture.tolist()
             return self._told(speed, variance, more_std)
         elif not self._predict(motor, noise_a, interval_s, voltage_v):
             bank.is_running[place] = False
@@ -201,12 +201,12 @@ class SpeedFilter:
             return motor
         self._noise_a = noise_a
         no_load_speed = bank.largest_v[self._place] / motor.back_emf
-        bank.known[self._place] = self._torque_constant, noise_a, no_load_speed, motor.time_s
+        bank.constants[self._place] = self._torque_constant, noise_a, no_load_speed, motor.time_s
         return motor
 
     @property
     def _no_load_speed(self) -> float:
-        return float(self._bank.known[self._place, NO_LOAD_SPEED])
+        return float(self._bank.constants[self._place, NO_LOAD_SPEED])
 
     def _start(self, motor: _Motor, noise_a: float, voltage_v: float, current_a: float) -> None:
         """Begin where voltage and current put the speed, which is but a guess."""

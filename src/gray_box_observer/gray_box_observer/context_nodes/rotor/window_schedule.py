@@ -59,10 +59,12 @@ class WindowSchedule:
         """Return the place of the newest sample of the window that is fitted next, and its samples.
 
         Where a motor is not explained, and more samples than a window's have come, it is the newest
-        ones that tell.
+        ones that tell. So it is where far more have come, while others had their turn.
         """
         place = self.place
         mark = max(self.mark, place - remembered_count)
+        if place - mark > WINDOW + AGAIN:
+            mark = place - WINDOW
         if is_settled:
             place = min(place, mark + WINDOW)
         return place, min(place - mark, WINDOW)

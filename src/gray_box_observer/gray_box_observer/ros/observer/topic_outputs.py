@@ -141,7 +141,8 @@ class Outputs:
         published_std = self._published_std.setdefault(names, nothing)
         std = speeds.std_rad_s
         is_near = np.abs(std - published_std) <= STD_MOVED * published_std
-        for motor in np.flatnonzero(~(is_near | (np.isnan(std) & np.isnan(published_std)))).tolist():
+        is_near |= np.isnan(std) & np.isnan(published_std)
+        for motor in np.flatnonzero(~is_near).tolist():
             topic = self._speed_std[names[motor]]
             published_std[motor] = std[motor]
             if math.isnan(std[motor]):
