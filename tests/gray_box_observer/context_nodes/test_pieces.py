@@ -12,9 +12,12 @@ from gray_box_observer.context_nodes import RotorUpdate
 from gray_box_observer.context_nodes.pieces import (
     AT_ONCE,
     LARGEST_SHARE,
+    MOST_TURNS,
     SAVED,
     SHARE,
+    WORK_S,
     Pieces,
+    SharedBudget,
     WorkBudget,
     bounded,
     completed,
@@ -122,3 +125,14 @@ def test_the_estimate_stays_until_a_fit_has_ended() -> None:
         assert update.theta.tobytes() == before
     assert waited > 3
     assert update.theta.tobytes() != before
+
+
+def test_motors_that_are_computed_together_share_the_time() -> None:
+    budget = SharedBudget(0.25)
+    budget.credit = -SIZE
+    budget.grant(0.001)
+    assert budget.credit == pytest.approx(0.25 * 0.001 / WORK_S - SIZE)
+    budget.grant(0.0)  # not known
+    assert budget.credit == pytest.approx(0.25 * 0.001 / WORK_S - SIZE + SHARE)
+    budget.grant(3600.0)
+    assert budget.credit == MOST_TURNS * AT_ONCE

@@ -105,7 +105,8 @@ def test_a_misfit_that_has_become_another_motor_is_asked_ever_less(schedule: Fit
 def test_the_wait_follows_the_samples_and_doubles_after_misfits() -> None:
     passed, misfit = (result_at(0, verdict, 1500) for verdict in (FitVerdict.OK, FitVerdict.MISFIT))
     assert wait_after(None, FitVerdict.OK, 10) == SHORTEST_WAIT
-    assert wait_after(None, FitVerdict.WARNING, 700) == 700
+    assert wait_after(None, FitVerdict.WARNING, 700) == SHORTEST_WAIT
+    assert wait_after(passed, FitVerdict.WARNING, 700) == 700
     assert wait_after(misfit, FitVerdict.OK, 9000) == LONGEST_WAIT
     assert wait_after(passed, FitVerdict.MISFIT, 700) == SHORTEST_WAIT
     assert wait_after(result_at(0, FitVerdict.MISFIT, 100), FitVerdict.MISFIT, 700) == 200
@@ -121,6 +122,22 @@ def test_newest_samples_are_tested_only_of_a_motor_that_has_passed(schedule: Fit
     schedule.follow(0, result_at(1000, FitVerdict.WARNING, LONGEST_WAIT))
     assert schedule.is_stale(late, 0)
     assert not schedule.is_stale(Streams(1, 999 + RECENT_WAIT), 0)
+
+
+def test_of_many_rotors_those_are_looked_at_that_have_waited_longest() -> None:
+    motors = 1000
+    many = FitSchedule(np.full(motors, FEWEST), 2, motors)
+    assert many.stale(Streams(motors, 5000)) == []
+    for motor in range(motors):
+        many.begin_test(motor, 2000 - motor)
+        many.follow(motor, result_at(2000 - motor, FitVerdict.OK, LONGEST_WAIT))
+    many.follow(999, result_at(1001, FitVerdict.MISFIT, LONGEST_WAIT))
+    first = many.stale(Streams(motors, 2000 + RECENT_WAIT))
+    assert first == [998, 997, 996, 995, 994, 993, 992, 991]
+    for motor in first:
+        many.begin_test(motor, 2000 + RECENT_WAIT)
+    assert many.stale(Streams(motors, 2000 + RECENT_WAIT))[0] == 990
+    assert many.stale(Streams(motors, 1000 + RECENT_WAIT)) == []
 
 
 @pytest.mark.parametrize('fit', [FitVerdict.OK, FitVerdict.MISFIT, None])

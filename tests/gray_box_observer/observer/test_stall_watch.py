@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gray_box_observer.observer.group_stalls import GroupStalls
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.stall_watch import StallWatch
+from gray_box_observer.samples import Sample as PairedSample
 from gray_box_observer.settings.configuration import Configuration
 
 INDUCTANCE = 4e-3
@@ -50,6 +52,39 @@ def test_a_stall_ends_when_the_rotor_turns() -> None:
     watch.step(INTERVAL_S, 6.0, 1.0, 200.0, CONSTANTS)
     assert not watch.is_stalled
     assert watch.sentence is None
+
+
+def test_motors_of_a_group_stall_as_each_would_alone() -> None:
+    rng = np.random.default_rng(8)
+    motors = 5
+    back_emf = rng.uniform(0.01, 0.05, motors)
+    together = GroupStalls(back_emf)
+    alone = [StallWatch() for _ in range(motors)]
+    resistance = rng.uniform(1.0, 3.0, motors)
+    nothing = np.full(motors, np.nan)
+    for k in range(6000):
+        voltage_v = np.where(rng.random(motors) < 5e-4, 0.0, 6.0)
+        speed_rad_s = np.where((k // 400 + np.arange(motors)) % 2, 0.0, 100.0)
+        current_a = (voltage_v - back_emf * speed_rad_s) / resistance
+        seen_rad_s = np.where(rng.random(motors) < 3e-3, np.nan, speed_rad_s)
+        interval_s = np.where(rng.random(motors) < 1e-3, 0.0, INTERVAL_S)
+        present = rng.random(motors) < 0.95
+        sample = PairedSample(k, interval_s, voltage_v, current_a, nothing, present)
+        seen_rad_s[~present] = np.nan
+        together.step(sample, current_a, seen_rad_s, resistance)
+        for motor in np.flatnonzero(present).tolist():
+            speed = float(seen_rad_s[motor])
+            alone[motor].step(
+                *(float(signal[motor]) for signal in (interval_s, voltage_v, current_a)),
+                None if np.isnan(speed) else speed,
+                (float(resistance[motor]), float(back_emf[motor])),
+            )
+    for motor, single in enumerate(alone):
+        watch = together.watch(motor)
+        assert watch.count == single.count
+        assert watch.sentence == single.sentence
+        assert watch.still_s == pytest.approx(single.still_s)
+    assert sum(single.count for single in alone) > motors
 
 
 def currents(voltage_v: np.ndarray, blocked_from: int) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -110,3 +112,31 @@ def test_the_topics_follow_the_form_that_is_chosen(rig):
     assert rig.latched(Float64, 'motor/hysteresis').data == 1.0
     gone = '/gray_box_observer/motor/inertia'
     rig.peer.wait(lambda: not rig.peer.node.count_publishers(gone), 'the end of the inertia')
+
+
+def test_rotors_that_come_together_are_told_together(rig):
+    motors = ('left', 'right')
+    plants = {'left': PLANT, 'right': replace(PLANT, resistance=3.0)}
+    simulation = Simulation(
+        plants, 'R[-12,12]D[0.05,0.5]', seed=1, speed_mode='rotor', sample_rate_hz=1000.0,
+        torque_noise_std=2e-4,
+    )  # fmt: skip
+    recording = simulation.record(2.0)
+    own = {f'{m}__{name.removeprefix("motor__")}': v for m in motors for name, v in ROTOR.items()}
+    speeds = rig.peer.listen(JointState, '/gray_box_observer/speed', SIGNAL_QOS)
+    rig.start(motors='[left, right]', group_from=2, group_core_share=2.0, **own)
+    rig.send(recording, range(2000))
+    for motor, plant in plants.items():
+        rig.wait_for(motor, samples_used=2000)
+        rig.wait_for(motor, resistance_verdict='identified')
+        resistance = rig.latched(Float64, f'{motor}/resistance').data
+        assert resistance == pytest.approx(plant.resistance, rel=0.02)
+        assert 0.0 < rig.latched(Float64, f'{motor}/speed_std').data < 20.0
+    rig.peer.wait(lambda: len(speeds) > 300, 'speeds')
+    assert speeds[-1].name == [*motors]
+    stamp = speeds[-1].header.stamp
+    k = int(np.flatnonzero(recording.stamp_ns == stamp.sec * 10**9 + stamp.nanosec - 10**9)[0])
+    for motor in range(2):
+        truth = recording.speed_rad_s[motor, k]
+        assert speeds[-1].velocity[motor] == pytest.approx(truth, abs=20.0)
+    assert rig.peer.end(rig.process)[0] == 0

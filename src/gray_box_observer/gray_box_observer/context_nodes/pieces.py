@@ -114,7 +114,7 @@ class SharedBudget:
 
     def grant(self, interval_s: float) -> None:
         """Take note of a sample, so long after the one before by their stamps; 0: not known."""
-        work = max(self.share * interval_s / WORK_S, SHARE)
+        work = self.share * interval_s / WORK_S if interval_s > 0.0 else SHARE
         self.credit = min(self.credit + work, MOST_TURNS * AT_ONCE)
 
 

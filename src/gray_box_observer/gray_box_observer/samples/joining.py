@@ -216,6 +216,7 @@ class ManyMotors:
         """Begin a new signal history."""
         self._owed_ns = np.full(self.blank.size, NEVER_NS)
         self._owed_vns = np.zeros(self.blank.size)
+        self._owed_vns2 = np.zeros(self.blank.size)  # first moment, about the middle of what is owed
         self._told_ns: Any = (
             0  # when the voltage was known last; of every motor, or the same of all
         )
@@ -296,6 +297,21 @@ class ManyMotors:
             span_ns, passed_ns, mean_v
         )
 
+    def _moment(self, passed_ns: int | None, mean_v: Array, moment_v: Any) -> Array:
+        """Return the first moment over what is owed and what has passed since, in V ns2.
+
+        Args:
+            passed_ns: since the torque before; None where the signal history starts anew.
+            mean_v: shape (motor,): mean voltage since then.
+            moment_v: first moment since then; None: it is not told.
+        """
+        if passed_ns is None or moment_v is None:
+            return np.zeros_like(self._owed_vns)
+        owed_vns2 = self._owed_vns2 - 0.5 * self._owed_vns * passed_ns
+        new_vns2 = moment_v * float(passed_ns) ** 2 + 0.5 * mean_v * passed_ns * self._owed_ns
+        total_vns2: Array = owed_vns2 + new_vns2
+        return total_vns2
+
     def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
         combined_mean = (self._owed_vns + mean_v * passed_ns) / span_ns
         return np.where(self._owed_ns == 0, mean_v, combined_mean)
@@ -311,7 +327,6 @@ class ManyMotors:
             interval_s = np.full(mean_v.size, seconds(passed_ns))
             own_moment_v = None if moment_v is None else np.full(mean_v.size, moment_v)
             return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, own_moment_v)
-        is_longer = self._owed_ns > 0  # than the interval of the group
         here = ~np.isnan(torque_nm)
         span_ns = (
             self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
@@ -321,12 +336,14 @@ class ManyMotors:
         blind = here & begins & np.isnan(first_v)
         self._own['torque'][Rejection.NO_VOLTAGE] += blind
         here &= ~blind
+        moment_vns2 = np.where(begins, 0.0, self._moment(passed_ns, mean_v, moment_v))
         mean_v = (
             first_v
             if passed_ns is None
             else np.where(begins, first_v, self._mean(span_ns, passed_ns, mean_v))
         )
         owed_vns = 0.0 if passed_ns is None else np.where(begins, 0.0, mean_v * span_ns)
+        self._owed_vns2 = np.where(here, 0.0, moment_vns2)
         self._owed_ns = np.where(here, 0, np.where(begins, NEVER_NS, span_ns))
         self._owed_vns = np.where(here, 0.0, owed_vns)
         self._regular = bool(np.all(here))
@@ -334,10 +351,9 @@ class ManyMotors:
             return None
         self._lost_counts += ~here
         interval_s = np.where(begins | ~here, 0.0, span_ns / NANOSECONDS_PER_SECOND)
-        if end_v is not None:  # how it moves in a longer interval is not known
-            has_one = begins | is_longer
-            end_v = np.where(has_one, mean_v, end_v)
-            moment_v = np.where(has_one, 0.0, moment_v)
+        if end_v is not None:
+            end_v = np.where(begins, mean_v, end_v)
+            moment_v = np.where(begins, 0.0, moment_vns2 / np.maximum(span_ns, 1.0) ** 2)
         if self._regular:
             return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed, None, end_v, moment_v)
         # what was refused with its torque must not be seen by anybody

@@ -353,12 +353,13 @@ class RotorUpdate:
 
         Beside a full window a few samples tell next to nothing, and might seem to tell a change.
         """
-        return self.is_new and not self._is_frozen and self._schedule.has_news
+        is_before = self._learner.memory is None and not self._is_frozen
+        return is_before and self._schedule.has_news
 
     @property
     def is_new(self) -> bool:
-        """Whether no full window has told of the motor yet."""
-        return self._learner.memory is None
+        """Whether no window of the motor has been fitted yet."""
+        return not (self._learner.counts['fits'] or self._learner.counts['windows without fit'])
 
     def begin_at(self, theta: Array) -> None:
         """Begin where nearly the same white box has explained the same samples.

@@ -1,0 +1,235 @@
+"""Motors with rotors in the same messages: one computation, and for each what it would be alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.context_nodes import RotorGroup, Verdict
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer.observer import Observer, Result
+from gray_box_observer.settings.configuration import Configuration
+from rotor_records import GEAR_MOTOR, LIVELY
+
+SAMPLES = 3300
+HALFWAY = 1500
+PERIOD_NS = 1_000_000
+HOT, STUCK, SHY, BLIND = NAMES = tuple(f'm{k}' for k in range(4))
+"""One is twice as quick and gets hot, one is blocked, one is absent now and then, and one's sensor
+says nothing now and then."""
+
+CHANGE = 2400
+"""Sample at which the resistance of one motor is another, and one is blocked."""
+
+SETTLED = 50
+"""Samples after which a filter has forgotten when it began: together it begins a sample or two
+sooner."""
+
+Signals = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
+@pytest.fixture(scope='module')
+def signals() -> Signals:
+    """Voltage and torque of every motor; infinite: absent from the message."""
+    plants: dict[str, PlantParameters] = dict.fromkeys(NAMES, GEAR_MOTOR)
+    plants[HOT] = replace(GEAR_MOTOR, inductance=2e-3, inertia=5e-6)
+    simulation = Simulation(
+        plants, LIVELY, seed=11, sample_rate_hz=1000.0, torque_noise_std=3e-4, speed_mode='rotor'
+    )
+    taken = []
+    for k in range(SAMPLES):
+        if k == CHANGE:
+            changes = {HOT: replace(plants[HOT], resistance=3.0)}
+            changes[STUCK] = replace(GEAR_MOTOR, coulomb_friction=1.0)
+            simulation.set_parameters(changes)
+        taken.append(simulation.step())
+    names = ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
+    arrays = (np.stack([getattr(one, name) for one in taken], axis=1) for name in names)
+    record = Recording(NAMES, np.array([one.stamp_ns for one in taken]), *arrays)
+    said = {
+        name: (record.voltage_v[m].copy(), record.torque_nm[m].copy())
+        for m, name in enumerate(NAMES)
+    }
+    random = np.random.default_rng(2)
+    said[BLIND][1][random.choice(np.arange(50, SAMPLES), 60, replace=False)] = np.nan
+    away = random.choice(np.arange(300, SAMPLES), 40, replace=False)
+    for signal in (0, 1):
+        said[SHY][signal][away] = np.inf
+    return said
+
+
+def observer(**given: Any) -> Observer:
+    """Return an observer of rotors, which are computed together if that is not changed."""
+    flat: dict[str, Any] = {'motors': list(NAMES), 'group_from': 2, 'predictor': False}
+    flat |= {'group_core_share': 64.0, **given}
+    for name in NAMES:
+        flat[f'{name}.speed_source'] = 'rotor'
+        flat[f'{name}.effects'] = 'none'
+        flat |= {f'{name}.{constant}_constant': 0.02 for constant in ('torque', 'back_emf')}
+    return Observer(Configuration.from_flat(flat), None)
+
+
+def feed(
+    one: Observer,
+    said: Signals,
+    names: tuple[str, ...] = NAMES,
+    first: int = 0,
+    last: int = SAMPLES,
+) -> dict[str, list[Result]]:
+    """Give messages of some motors to an observer; return what became of each."""
+    results: dict[str, list[Result]] = {name: [] for name in names}
+    for k in range(first, last):
+        for signal, what in enumerate(('voltage', 'torque')):
+            spoken = tuple(name for name in names if not math.isinf(said[name][signal][k]))
+            values = np.array([said[name][signal][k] for name in spoken])
+            for group in one.ingest(what, spoken, k * PERIOD_NS, values):
+                for result in group:
+                    results[result.motor].append(result)
+    return results
+
+
+@pytest.fixture(scope='module')
+def whole(signals: Signals) -> tuple[Observer, dict[str, list[Result]]]:
+    """The observer of all motors together, and what became of each."""
+    together = observer()
+    return together, feed(together, signals)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', NAMES)
+def test_motors_of_a_group_are_what_each_would_be_alone(
+    signals: Signals, whole: tuple[Observer, dict[str, list[Result]]], name: str
+) -> None:
+    together, results = whole
+    assert [group.names for group in together.groups(NAMES)] == [NAMES]
+    single = observer(group_from=1000)
+    alone = feed(single, signals, (name,))[name]
+    mine = results[name]
+    assert [one.sample.stamp_ns for one in mine] == [one.sample.stamp_ns for one in alone]
+    estimates = [
+        np.array([one.estimate.value[0] for one in part if one.estimate is not None])
+        for part in (mine, alone)
+    ]
+    assert estimates[0].shape == estimates[1].shape
+    np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-9)
+    assert together.motors[name].counters == single.motors[name].counters
+    assert together.fit(name).verdict is single.fit(name).verdict
+    speeds = [
+        np.array([math.nan if one.speed is None else one.speed.speed_rad_s for one in part])
+        for part in (mine, alone)
+    ]
+    is_told = np.isfinite(speeds[1])
+    assert is_told.mean() > 0.3
+    assert np.mean(np.isfinite(speeds[0]) == is_told) > 0.99
+    both = np.flatnonzero(is_told & np.isfinite(speeds[0]))[SETTLED:]
+    np.testing.assert_allclose(speeds[0][both], speeds[1][both], rtol=1e-3, atol=0.5)
+    stalls = [one.motors[name].stall for one in (together, single)]
+    assert stalls[0] is not None
+    assert stalls[1] is not None
+    assert stalls[0].count == stalls[1].count
+    assert stalls[0].still_s == pytest.approx(stalls[1].still_s)
+
+
+@pytest.mark.slow
+def test_motors_are_known_and_what_has_changed_is_no_more(
+    whole: tuple[Observer, dict[str, list[Result]]],
+) -> None:
+    together, _ = whole
+    resistance = {name: float(one.value[0, 1]) for name, one in together.estimates().items()}
+    verdicts = {name: one.verdicts[0][1] for name, one in together.estimates().items()}
+    for name in (SHY, BLIND):
+        assert verdicts[name] is Verdict.IDENTIFIED
+        assert resistance[name] == pytest.approx(2.0, rel=0.01)
+    is_misfit = together.fit(HOT).verdict is FitVerdict.MISFIT
+    assert is_misfit or resistance[HOT] == pytest.approx(3.0, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_small_share_of_the_time_only_makes_it_late(signals: Signals) -> None:
+    slow = observer(group_core_share=0.01)
+    quick = observer()
+    for one in (slow, quick):
+        feed(one, signals, last=CHANGE)
+    counts = [sum(one.motors[name].counters['fits'] for name in NAMES) for one in (slow, quick)]
+    assert len(NAMES) <= counts[0] < 0.7 * counts[1]
+    for estimate in slow.estimates().values():
+        assert estimate.value[0, 1] == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
+    signals: Signals, tmp_path: Path
+) -> None:
+    before = observer()
+    feed(before, signals, last=HALFWAY)
+    checkpoint.save(before, tmp_path / 'halfway')
+    together, alone = (observer(group_from=group_from) for group_from in (2, 1000))
+    for one, groups in ((together, 1), (alone, len(NAMES))):
+        checkpoint.load(one, tmp_path / 'halfway')
+        assert len(one.groups(NAMES)) == groups
+        feed(one, signals, first=HALFWAY, last=CHANGE)
+    for name in NAMES:
+        estimates = [one.estimates()[name] for one in (together, alone)]
+        np.testing.assert_allclose(estimates[0].value, estimates[1].value, rtol=1e-9)
+        assert estimates[0].verdicts == estimates[1].verdicts
+        assert together.motors[name].counters == alone.motors[name].counters
+
+
+def test_a_frozen_group_learns_nothing_and_goes_on_afterwards(signals: Signals) -> None:
+    one = observer()
+    feed(one, signals, last=400)
+    before = {name: estimate.value for name, estimate in one.estimates().items()}
+    one.freeze(True)
+    feed(one, signals, first=400, last=700)
+    after = one.estimates()
+    for name in NAMES:
+        assert (after[name].value == before[name]).all()
+        assert {*after[name].verdicts[0]} == {Verdict.FROZEN}
+    fits = one.motors[SHY].counters['fits']
+    one.freeze(False)
+    feed(one, signals, first=700, last=1200)
+    assert one.motors[SHY].counters['fits'] > fits
+
+
+@pytest.mark.parametrize(
+    'other',
+    [
+        {'predictor': True},
+        {'m0.delay': 'estimate'},
+        {'m0.coulomb_friction': 8.4e-3, 'm0.context_nodes': ['inductance', 'resistance', 'inertia']},
+    ],
+)
+def test_who_is_no_plain_rotor_of_the_same_kind_stays_alone(
+    signals: Signals, other: dict[str, Any]
+) -> None:
+    one = observer(**other)
+    feed(one, signals, last=3)
+    assert one.groups((HOT,))[0].names == (HOT,)
+
+
+def test_the_rule_of_a_group_counts_for_all_and_for_each(signals: Signals) -> None:
+    one = observer()
+    feed(one, signals, last=500)
+    rule = one.groups(NAMES)[0].observer.context_nodes  # type: ignore[union-attr]
+    assert isinstance(rule, RotorGroup)
+    assert rule.counters()['fits'] == sum(rule.counters(k)['fits'] for k in range(len(NAMES)))
+    assert rule.estimate().value.shape == (len(NAMES), 5)
+    assert (rule.estimate().value == rule.theta).all()
+    assert not rule.is_drifting(0)
+
+
+def test_what_is_left_at_the_end_is_done(signals: Signals) -> None:
+    one = observer(group_core_share=0.01)
+    feed(one, signals, last=1000)
+    changed = one.finish()
+    assert {*changed} == {*NAMES}
+    for estimate in one.estimates().values():
+        assert estimate.value[0, 1] == pytest.approx(2.0, rel=0.05)
