@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
+from common.rotor.fleet import run_fleet
 from common.rotor.records import NODES, Record, draw
 from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
@@ -60,6 +61,11 @@ SPEED_SENSORS = (
 FLEET, FLEET_HZ = 1000, 100.0
 """Motors, and samples a second of each, that the cost of many is reckoned for."""
 
+FLEET_S, FLEET_DRAWN = 200.0, 50
+"""Length of a record of many motors, and motors that are drawn: each stands for as many."""
+
+QUICK_FLEET, QUICK_FLEET_S = 100, 40.0
+
 ELECTRICAL = slice(0, 2)
 
 
@@ -80,6 +86,9 @@ def main() -> int:
         '--peers',
         action='store_true',
         help='only Kalman filters and a batch fit beside it',
+    )
+    parser.add_argument(
+        '--fleet', action='store_true', help='only many motors in the same messages'
     )
     parser.add_argument(
         '--predict', action='store_true', help='only the prediction of robots never seen'
@@ -104,6 +113,11 @@ def main() -> int:
         print(f'\n{figure_table(figures)}')
         print(last_line('rotor', seeds, figures))
         return 0
+    if options.fleet:
+        figures = fleet_figures(counts=counts)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', FLEET_DRAWN, figures))
+        return 0
     if options.predict:
         figures = prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
         print(f'\n{figure_table(figures)}')
@@ -113,6 +127,7 @@ def main() -> int:
         *fast_figures(seeds, length_s, counts=counts),
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
         *slow_figures(seeds, 100.0, 2.0 * length_s, 5e-3, counts=counts),
+        *fleet_figures(counts=counts),
         *sticky_figures(seeds, length_s, counts=counts),
         *choice_figures(seeds, length_s, counts=counts),
         *peer_figures(seeds, length_s, counts=counts),
@@ -181,7 +196,7 @@ def slow_figures(
     cost = []
     if rate_hz == FLEET_HZ:
         cores = FLEET * rate_hz * 1e-6 * float(np.mean([trial.sample_us for trial in trials]))
-        cost.append(Figure(f'{FLEET} motors at {name}: cores', cores, 0.5, counts))
+        cost.append(Figure(f'{FLEET} motors at {name}, one by one: cores', cores, None))
     return [
         *cost,
         Figure(f'{name}: RMSE of inductance over the bound', float(over[0]), 1.3, counts),
@@ -190,6 +205,25 @@ def slow_figures(
         Figure(
             f'{name}: false of all that was called identified', share_false(trials), 0.0, counts
         ),
+    ]
+
+
+def fleet_figures(*, counts: bool) -> list[Figure]:
+    """Run many gear motors in the same messages, from where nothing is known of any of them."""
+    motors, length_s = (FLEET, FLEET_S) if counts else (QUICK_FLEET, QUICK_FLEET_S)
+    drawn = FLEET_DRAWN if counts else QUICK_SEEDS
+    records = [draw(gear_motor, seed, FLEET_HZ, length_s) for seed in range(drawn)]
+    fleet = run_fleet(records, motors)
+    halves = np.array(fleet.cores).reshape(2, -1).mean(axis=1)
+    name = f'{motors} motors together at {FLEET_HZ:g} Hz'
+    false = fleet.false / max(1, fleet.claims)
+    return [
+        Figure(f'{name}: cores while they are new', float(halves[0]), None),
+        Figure(f'{name}: cores once they are known', float(halves[1]), 0.5, counts),
+        Figure(f'{name}: longest sample, ms', 1e3 * fleet.worst_s, None),
+        Figure(f'{name}: R not within 2 % at the end, share', 1.0 - fleet.near, None),
+        Figure(f'{name}: R not identified at the end, share', 1.0 - fleet.identified, None),
+        Figure(f'{name}: false of what is identified at the end', false, 0.0, counts),
     ]
 
 

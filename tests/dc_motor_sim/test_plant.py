@@ -108,7 +108,7 @@ def test_a_driver_that_coasts_lets_no_current_flow_at_a_command_of_zero(others: 
         THESIS, hysteresis=0.0, inductance=0.01, coasting_resistance=100.0, dead_zone=0.5
     )
     plant = Plant([motor, *[replace(motor, coasting_resistance=0.0)] * others], 'rotor')
-    state = run(plant, 10.0, 1.0)
+    state = run(plant, 10.0, 0.15)
     assert state[0, 0] > 5.0
     for command_v in (0.0, 0.5, -0.5):
         later = run(plant, command_v, 0.01, state=state)
@@ -116,7 +116,7 @@ def test_a_driver_that_coasts_lets_no_current_flow_at_a_command_of_zero(others: 
         assert later[0, 1] > 0.0
         if others:  # that brake
             assert abs(later[1, 0]) > 0.1
-    again = run(plant, 10.0, 1.0, state=run(plant, 0.0, 0.01, state=state))
+    again = run(plant, 10.0, 0.15, state=run(plant, 0.0, 0.01, state=state))
     assert again[0, 0] == pytest.approx(state[0, 0], rel=1e-3)
 
 

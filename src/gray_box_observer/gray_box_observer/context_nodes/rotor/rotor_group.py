@@ -75,6 +75,7 @@ class RotorGroup:
             for place, white_box in enumerate(white_boxes)
         ]
         self._merger = GroupMerger(count)
+        self._estimates: dict[int, Estimate] = {}  # as they were asked for last
         self._theta = np.concatenate([motor.theta for motor in self.motors])
         self._place = np.zeros(count, dtype=np.int64)
         self._due = np.array([motor.due for motor in self.motors])
@@ -99,6 +100,7 @@ class RotorGroup:
         self._verdict_rules = rules
         for motor in self.motors:
             motor.verdict_rules = rules
+        self._estimates = {}
 
     @property
     def changed(self) -> NDArray[np.bool_]:
@@ -175,6 +177,7 @@ class RotorGroup:
     def _take(self, place: int) -> None:
         """Take note of where one motor stands."""
         motor = self.motors[place]
+        self._estimates.pop(place, None)
         if self._has_changed[place]:
             self._theta = self._theta.copy()
             self._theta[place] = motor.theta[0]
@@ -189,7 +192,7 @@ class RotorGroup:
     def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         places = np.arange(len(self.motors))[selection]
-        estimates = [self.motors[place].estimate() for place in np.atleast_1d(places).tolist()]
+        estimates = [self._estimate(place) for place in np.atleast_1d(places).tolist()]
         return Estimate(
             self._stamp_ns,
             estimates[0].parameters,
@@ -197,6 +200,13 @@ class RotorGroup:
             np.concatenate([one.covariance for one in estimates]),
             tuple(one.verdicts[0] for one in estimates),
         )
+
+    def _estimate(self, place: int) -> Estimate:
+        """Return the present values of one motor, which change with a fit alone."""
+        estimate = self._estimates.get(place)
+        if estimate is None:
+            estimate = self._estimates[place] = self.motors[place].estimate()
+        return estimate
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Fits, windows that no fit was found for, and changes; of one motor or of all."""
@@ -228,6 +238,7 @@ class RotorGroup:
         self._is_beginning = None if is_frozen else np.ones(self._has_changed.size, dtype=bool)
         for motor in self.motors:
             motor.freeze(is_frozen)
+        self._estimates = {}
 
     def finish(self) -> list[int]:
         """Do what is left of fits, for no samples will come; return whose estimates have changed.
