@@ -102,7 +102,7 @@ def test_the_dead_zone_of_the_driver_takes_its_voltage_and_all_of_a_smaller_one(
         assert found_a == pytest.approx(current_a / r, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize('others', [0, 12])
+@pytest.mark.parametrize('others', [0, pytest.param(12, marks=pytest.mark.slow)])
 def test_a_driver_that_coasts_lets_no_current_flow_at_a_command_of_zero(others: int) -> None:
     motor = replace(
         THESIS, hysteresis=0.0, inductance=0.01, coasting_resistance=100.0, dead_zone=0.5

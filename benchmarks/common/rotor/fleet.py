@@ -28,7 +28,7 @@ class Fleet:
         near: share of the motors whose R is within NEAR of the truth at the end.
         identified: share of the motors whose R is identified at the end.
         claims, false: identified values of L and R at the end, and those of them that are false.
-        worst_s: longest processor time of a sample.
+        worst_s: longest processor time of a sample, but for the first one.
     """
 
     cores: tuple[float, ...]
@@ -59,11 +59,12 @@ def run_fleet(records: Sequence[Record], motors: int) -> Fleet:
         before_s = time.process_time()
         observer.ingest('voltage', names, stamp_ns, voltage_v[k])
         observer.ingest('torque', names, stamp_ns, torque_nm[k])
-        worst_s = max(worst_s, time.process_time() - before_s)
+        worst_s = max(worst_s, time.process_time() - before_s) if k else 0.0
         if (k + 1) % length == 0:
             now_s = time.process_time()
             cores.append((now_s - begun_s) / (length * interval_s))
-            print(f'{motors} motors, {stamp_ns * 1e-9:.0f} s: {cores[-1]:.2f} cores', file=sys.stderr)
+            progress = f'{motors} motors, {stamp_ns * 1e-9:.0f} s: {cores[-1]:.2f} cores'
+            print(progress, file=sys.stderr)
             begun_s = time.process_time()
     return _judged(observer, names, fleet, tuple(cores), worst_s)
 

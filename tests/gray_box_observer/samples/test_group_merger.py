@@ -70,8 +70,8 @@ def values(sample: Sample, motor: int) -> tuple[float, ...]:
     """Return what is kept of a motor's sample."""
     assert sample.held_v is not None
     assert sample.moment_v is not None
-    signals = (sample.interval_s, sample.voltage_v, sample.torque_nm, sample.held_v, sample.moment_v)
-    return tuple(float(signal[motor]) for signal in signals)
+    plain = (sample.interval_s, sample.voltage_v, sample.torque_nm)
+    return tuple(float(signal[motor]) for signal in (*plain, sample.held_v, sample.moment_v))
 
 
 def passed_together(merger: GroupMerger, samples: list[Sample]) -> Passed:

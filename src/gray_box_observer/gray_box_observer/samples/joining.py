@@ -216,7 +216,7 @@ class ManyMotors:
         """Begin a new signal history."""
         self._owed_ns = np.full(self.blank.size, NEVER_NS)
         self._owed_vns = np.zeros(self.blank.size)
-        self._owed_vns2 = np.zeros(self.blank.size)  # first moment, about the middle of what is owed
+        self._owed_vns2 = np.zeros(self.blank.size)  # first moment about the middle of that
         self._told_ns: Any = (
             0  # when the voltage was known last; of every motor, or the same of all
         )

@@ -91,6 +91,9 @@ class RotorUpdate:
         replay: remembers motors that are sampled together, and is filled by others; None: one of
             its own.
         motor: its place there.
+
+    Attributes:
+        fitted_count: samples of the newest fit; 1 before the first one.
     """
 
     _learner_type: type[WindowLearner] = WindowLearner
@@ -134,6 +137,7 @@ class RotorUpdate:
         self._resumes = False
         self._budget = WorkBudget()
         self._fit_task: _Fitting | None = None
+        self.fitted_count = 1
 
     @property
     def theta(self) -> Array:
@@ -276,6 +280,11 @@ class RotorUpdate:
         return self._schedule.due
 
     @property
+    def begun_at(self) -> int:
+        """Place of the newest sample of the newest fit."""
+        return self._schedule.begun_at
+
+    @property
     def credit(self) -> int:
         """Work that is granted and not done."""
         return self._budget.credit
@@ -301,6 +310,7 @@ class RotorUpdate:
 
     def _begin(self, place: int, samples: Array) -> None:
         self._schedule.begun_at = place
+        self.fitted_count = samples.shape[1]
         self._fit_task = _Fitting(place, samples, self._fit(place, samples))
 
     def advance(self) -> bool | None:

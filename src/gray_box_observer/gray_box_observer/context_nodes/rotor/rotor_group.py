@@ -84,7 +84,8 @@ class RotorGroup:
         self._is_beginning: NDArray[np.bool_] | None = None
         self._is_frozen = False
         self._stamp_ns = 0
-        self._turn = 0
+        self._begun_at = np.zeros(count, dtype=np.int64)
+        self._fitted_count = np.ones(count, dtype=np.int64)
         self._core_share = core_share
         self._budget = SharedBudget(core_share)
         self._is_new = np.ones(count, dtype=bool)
@@ -146,18 +147,20 @@ class RotorGroup:
         self._credit = np.minimum(self._credit + share, SAVED)
 
     def _next_places(self) -> list[int]:
-        """Return who goes on next: few, so that none has begun long before it ends."""
+        """Return who goes on next: few, so that none has begun long before it ends.
+
+        Of those that are due the one begins whose samples since its newest fit are most, over those
+        of that fit.
+        """
         can_go_on = self._credit > 0
         places: list[int] = np.flatnonzero(self._is_fitting & can_go_on).tolist()
         if len(places) >= MOST_UNDER_WAY:
             return places[:MOST_UNDER_WAY]
         is_due = (self._place >= self._due) & can_go_on & ~self._is_fitting
-        due_places = np.flatnonzero(is_due)
-        if due_places.size == 0:
+        if not is_due.any():
             return places
-        first = int(np.searchsorted(due_places, self._turn)) % due_places.size
-        self._turn = int(due_places[first]) + 1
-        return [*places, int(due_places[first])]
+        news = np.where(is_due, (self._place - self._begun_at) / self._fitted_count, -1.0)
+        return [*places, int(np.argmax(news))]
 
     def _go_on(self, place: int) -> None:
         """Let one motor go on with its fit."""
@@ -182,6 +185,8 @@ class RotorGroup:
             self._theta = self._theta.copy()
             self._theta[place] = motor.theta[0]
         self._due[place] = motor.due
+        self._begun_at[place] = motor.begun_at
+        self._fitted_count[place] = motor.fitted_count
         self._is_new[place] = motor.is_new
         self._is_fitting[place] = motor.fitting is not None
 
