@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gray_box_observer.samples import Pairing, Rejection
+from gray_box_observer.samples import Pairing, Rejection, Sample
 from gray_box_observer.samples.pairing import PairingSettings
 
 from .pairing_events import MS, content, feed, steady
@@ -455,3 +455,50 @@ def test_a_speed_that_never_comes_is_waited_for_once() -> None:
     assert pairing.waiting_count <= 26
     feed(pairing, [(kind, at, 1.0) for at in range(6000, 9000, 10) for kind in 'vt'])
     assert pairing.waiting_count <= 26
+
+
+def test_how_a_voltage_moves_is_told_of_a_motor_in_a_group_as_of_one_alone() -> None:
+    motors = 3
+    rng = np.random.default_rng(7)
+    together = Pairing(motors=motors)
+    alone = [Pairing() for _ in range(motors)]
+    samples: list[list[tuple[float, ...]]] = [[] for _ in range(motors)]
+    singles: list[list[tuple[float, ...]]] = [[] for _ in range(motors)]
+    stamp_ns = 0
+    for _ in range(400):
+        stamp_ns += int(rng.integers(1, 4)) * MS
+        signal = ('voltage', 'torque')[int(rng.integers(2))]
+        values = np.where(rng.random(motors) < 0.1, np.nan, rng.normal(size=motors))
+        for sample in together.ingest_signal[signal](stamp_ns, values):
+            present = np.ones(motors, bool) if sample.present is None else sample.present
+            for motor in np.flatnonzero(present).tolist():
+                samples[motor].append(_told(sample, motor))
+        for motor, single in enumerate(alone):
+            for sample in single.ingest_signal[signal](stamp_ns, float(values[motor])):
+                singles[motor].append(_told(sample, 0))
+    for motor in range(motors):
+        count = min(len(samples[motor]), len(singles[motor]))
+        assert count > 100
+        mine, own = (np.array(part[:count]) for part in (samples[motor], singles[motor]))
+        np.testing.assert_allclose(mine, own, rtol=1e-9, atol=1e-12)
+        assert np.count_nonzero(np.abs(own[:, 5]) > 1e-3) > 20
+
+
+def test_motors_that_need_it_not_are_not_told_how_the_voltage_moves() -> None:
+    pairing = Pairing(motors=2, tells_moves=False)
+    values = np.ones(2)
+    samples = [one for k in range(3) for one in pairing.voltage(k * MS, values)]
+    samples += [one for k in range(2) for one in pairing.torque(k * MS, values)]
+    assert [one.held_v for one in samples] == [None, None]
+    assert [one.moment_v for one in samples] == [None, None]
+
+
+def _told(sample: Sample, motor: int) -> tuple[float, ...]:
+    """Return stamp, interval, voltages and torque of one motor's sample, and how it moves."""
+    assert sample.held_v is not None
+    assert sample.moment_v is not None
+    signals = (
+        *(sample.interval_s, sample.voltage_v, sample.torque_nm),
+        *(sample.held_v, sample.moment_v),
+    )
+    return (float(sample.stamp_ns), *(float(signal[motor]) for signal in signals))
