@@ -12,7 +12,7 @@ from gray_box_observer.context_nodes import RotorUpdate
 from gray_box_observer.context_nodes.pieces import (
     AT_ONCE,
     LARGEST_SHARE,
-    MOST_TURNS,
+    MOST_SAVED,
     SAVED,
     SHARE,
     WORK_S,
@@ -134,5 +134,8 @@ def test_motors_that_are_computed_together_share_the_time() -> None:
     assert budget.credit == pytest.approx(0.25 * 0.001 / WORK_S - SIZE)
     budget.grant(0.0)  # not known
     assert budget.credit == pytest.approx(0.25 * 0.001 / WORK_S - SIZE + SHARE)
-    budget.grant(3600.0)
-    assert budget.credit == MOST_TURNS * AT_ONCE
+    for _ in range(1000):
+        budget.grant(0.001)
+    assert budget.credit == MOST_SAVED
+    budget.grant(1.0)
+    assert budget.credit == pytest.approx(0.25 / WORK_S)

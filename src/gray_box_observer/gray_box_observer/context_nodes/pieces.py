@@ -42,8 +42,8 @@ AT_ONCE = 4096
 WORK_S = 0.33e-6
 """Time that a unit of work takes, in s, as a share of the time is reckoned by it."""
 
-MOST_TURNS = 4
-"""Pieces of such work that motors which are computed together save up, at most."""
+MOST_SAVED = 4 * AT_ONCE
+"""Work that motors which are computed together save up, at most, where a sample grants less."""
 
 
 def completed(pieces: Pieces[Result]) -> Result:
@@ -115,7 +115,7 @@ class SharedBudget:
     def grant(self, interval_s: float) -> None:
         """Take note of a sample, so long after the one before by their stamps; 0: not known."""
         work = self.share * interval_s / WORK_S if interval_s > 0.0 else SHARE
-        self.credit = min(self.credit + work, MOST_TURNS * AT_ONCE)
+        self.credit = min(self.credit + work, max(work, MOST_SAVED))
 
 
 class WorkBudget:

@@ -115,9 +115,9 @@ class FitMonitor:
         result = self._results[motor]
         is_misfit = result is None or result.assessment.verdict is FitVerdict.MISFIT
         if not is_misfit and not self.schedule.covers(motor, estimate):
-            self._withhold(motor)
+            self.withhold(motor)
 
-    def _withhold(self, motor: int) -> None:
+    def withhold(self, motor: int) -> None:
         """Believe nothing of a motor until its next test."""
         self._withheld_motors.add(motor)
         self._limits[motor] = EstimateLimit(self._tests[motor].white_box.parameters, None)
@@ -258,6 +258,6 @@ class FitMonitor:
         result = FitResult.restored(plain, received_count) if has_result else None
         self._keep(motor, result)
         if plain.get('is_withheld', False):
-            self._withhold(motor)
+            self.withhold(motor)
         self.schedule.restore(plain, motor, received_count, result)
         return later_result

@@ -34,7 +34,7 @@ class GroupSpeeds:
         nodes: the rule that learns them.
 
     Attributes:
-        newest: speeds at the newest sample.
+        newest: speeds at the newest sample of each.
     """
 
     def __init__(self, white_boxes: Sequence[MotorWhiteBox], nodes: RotorGroup) -> None:
@@ -63,7 +63,7 @@ class GroupSpeeds:
         self._resistance_std[motor] = own.resistance_std
 
     def step(self, sample: Sample, theta: Array) -> SpeedEstimates:
-        """Go on by one sample; return the speeds that may be believed.
+        """Go on by one sample; return the speeds that may be believed, of those that it is of.
 
         Args:
             sample: the newest.
@@ -83,11 +83,17 @@ class GroupSpeeds:
             if own is not None:
                 speed[place] = own.speed_rad_s
                 std[place] = own.std_rad_s
-        self.newest = SpeedEstimates(
-            np.where(self._is_credible, speed, np.nan), np.where(self._is_credible, std, np.nan)
-        )
-        self._stalls.step(sample, current_a, self.newest.speed_rad_s, self._resistance)
-        return self.newest
+        speed = np.where(self._is_credible, speed, np.nan)
+        std = np.where(self._is_credible, std, np.nan)
+        self._stalls.step(sample, current_a, speed, self._resistance)
+        before = self.newest
+        self.newest = estimates = SpeedEstimates(speed, std)
+        if sample.present is not None:
+            self.newest = SpeedEstimates(
+                np.where(sample.present, speed, before.speed_rad_s),
+                np.where(sample.present, std, before.std_rad_s),
+            )
+        return estimates
 
     def _followed(
         self, sample: Sample, current_a: Array, motors: NDArray[np.bool_]

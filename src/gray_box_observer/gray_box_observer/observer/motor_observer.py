@@ -33,6 +33,7 @@ from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.sample import passed_seconds
 from gray_box_observer.settings.motor_configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
@@ -95,6 +96,7 @@ class MotorObserver:
         self._retests: dict[int, bool] = {}
         self._deferred_update: DeferredUpdate | None = None
         self._is_frozen = False
+        self._stamp_ns = 0  # of the newest sample
         self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
         self._intervals_s = np.full(1, np.nan), np.full(1, np.nan)  # of the last two samples
         self.motors = form.context_nodes.theta.shape[0]
@@ -199,7 +201,8 @@ class MotorObserver:
         """
         if self._deferred_update is not None or self._tests.is_waiting:
             self.run_deferred()
-        self._tests.begin_sample(float(sample.interval_s.max()))
+        self._tests.begin_sample(passed_seconds(self._stamp_ns, sample))
+        self._stamp_ns = sample.stamp_ns
         sample = self._follow_path(sample)
         prediction = self._predict(sample.interval_s, sample.voltage_v)
         belief = self._belief
@@ -287,8 +290,10 @@ class MotorObserver:
             changed_motors = [0] if nodes.finish() else []
         for motor in changed_motors:
             self._know(self._tests.test(motor, is_out=True), slice(motor, motor + 1))
+        tested_motors = self._tests.finish()
+        changed_motors += [motor for motor in tested_motors if self._retests.get(motor)]
         if changed_motors:
-            self.changed_motors = np.array(changed_motors)
+            self.changed_motors = np.array(sorted({*changed_motors}))
         return bool(changed_motors)
 
     def _go_over(self, form: MotorForm | None) -> None:
@@ -446,6 +451,19 @@ class MotorObserver:
         if isinstance(self._speed, SpeedTracking):
             return self._speed.stall
         return None if self._speed is None else self._speed.stall_of(motor)
+
+    def late_counts(self, motor: int) -> dict[str, int]:
+        """Return how many samples ago fit and test of a motor were due that wait for their turn.
+
+        Empty of motors that are not in a group of rotors.
+        """
+        nodes = self.context_nodes
+        if not isinstance(nodes, RotorGroup):
+            return {}
+        return {
+            'samples since a fit was due': nodes.late_count(motor),
+            'samples since a test was due': self._tests.late_count(motor),
+        }
 
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""
@@ -626,7 +644,7 @@ class MotorObserver:
             saved_path = group(plain, 'voltage_path')
             path.restore(saved_path, _group(arrays, 'voltage_path'), motor, count)
         later_result = self._fit.restore(dict(group(plain, 'fit')), motor, place)
-        self._tests.restore(later_result)
+        self._tests.restore(later_result, motor)
         if self._is_frozen:  # no estimate will follow
             self._tests.end(is_out=False)
         if 'speed' in plain:  # not in files of releases that knew no choice

@@ -210,7 +210,8 @@ class MotorView:
     @property
     def counters(self) -> dict[str, int]:
         """What the rule has met so far, by a name for diagnostics."""
-        return self.observer.context_nodes.counters(self.place)
+        counters = self.observer.context_nodes.counters(self.place)
+        return {**counters, **self.observer.late_counts(self.place)}
 
     @property
     def changes(self) -> int:

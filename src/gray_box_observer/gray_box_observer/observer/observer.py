@@ -189,7 +189,7 @@ class Observer:
             if group.observer is None or group.is_stopped:
                 continue
             if self.contain(group, partial(_finish, group.observer)):
-                names += group.names
+                names += [group.names[motor] for motor in group.observer.changed_motors.tolist()]
         return tuple(names)
 
     def restart_clock(self) -> None:

@@ -194,6 +194,10 @@ class ParameterBelief:
             motor, estimate, partial(test, self.context_nodes, estimate, motor, delay)
         )
 
+    def withhold(self, motor: int) -> None:
+        """Believe nothing of one motor until its next test."""
+        self._fit.withhold(motor)
+
     def leaves_noise_alone(self, motor: int) -> bool:
         """Look at the newest samples of a rotor that has passed; False: a test is to tell."""
         return self._fit.leaves_noise_alone(self.context_nodes, motor)

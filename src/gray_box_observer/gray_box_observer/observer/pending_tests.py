@@ -194,10 +194,23 @@ class PendingTests:
         self._open_test = test
         return result
 
-    def restore(self, later_result: FitResult | None) -> None:
-        """Take back the result of a motor alone that does not count yet, where there is one."""
+    def restore(self, later_result: FitResult | None, motor: int = 0) -> None:
+        """Take back the result of a motor alone that does not count yet, where there is one.
+
+        Args:
+            later_result: it; None: there is none.
+            motor: whose, by its place on the motor axis.
+        """
         if self._is_alone and later_result is not None:
             self._open_test = DeferredFitTest(later_result)
+
+    def finish(self) -> list[int]:
+        """Make tests that wait, for no samples will come; return the motors: none waits here."""
+        return []
+
+    def late_count(self, motor: int) -> int:
+        """Return how many samples ago a test was due that has not been made: none waits here."""
+        return 0
 
     def give_up(self) -> None:
         """Forget all of it: the samples were paired by another delay."""

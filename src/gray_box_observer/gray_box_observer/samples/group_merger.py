@@ -138,7 +138,7 @@ class GroupMerger:
         interval_s = np.where(motors, span['interval_s'], 0.0)
         volt_seconds = np.where(motors, span['volt_seconds'], 0.0)
         return Sample(
-            sample.stamp_ns,
+            sample.stamp_ns,  # as of one of them: what is kept has no stamps
             interval_s,
             volt_seconds / np.where(motors, interval_s, 1.0),
             np.where(motors, span['torque_nm'], 0.0),

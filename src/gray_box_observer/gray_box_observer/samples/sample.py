@@ -33,6 +33,17 @@ def nanoseconds(duration_s: float) -> int:
     return round(duration_s * NANOSECONDS_PER_SECOND)
 
 
+def passed_seconds(before_ns: int, sample: Sample) -> float:
+    """Return the time since a group's last sample in s; 0 where every motor begins anew.
+
+    Args:
+        before_ns: stamp of that sample.
+        sample: the newest.
+    """
+    longest_s = float(sample.interval_s.max())
+    return min(max(seconds(sample.stamp_ns - before_ns), 0.0), longest_s)
+
+
 class Sample(NamedTuple):
     """Torque at one instant, and the voltage that led to it.
 

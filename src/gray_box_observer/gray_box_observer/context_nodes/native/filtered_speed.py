@@ -11,6 +11,9 @@ _COUNT = ctypes.c_int64
 _NUMBER = ctypes.c_double
 _POINTER = ctypes.c_void_p
 
+FILTER_SIZE = 14
+"""Numbers of a filter: three states, their covariance, log-likelihood and share."""
+
 
 class FilterSettings(ctypes.Structure):
     """What every filter needs to know; the order is that of `filtered_speed.c`."""
@@ -32,6 +35,8 @@ def library() -> ctypes.CDLL | None:
         return None
     for size in (handle.filtered_speed_size, handle.filtered_speed_ladder_size):
         size.restype = _COUNT
+    if handle.filtered_speed_size() != FILTER_SIZE:
+        return None
     steps = handle.filtered_speed_steps
     steps.restype = None
     steps.argtypes = (

@@ -98,7 +98,8 @@ static int left(const double *p, double torque_constant, const double *start, in
     }
 }
 
-/* The residual of `count` intervals that is left where both first states fit best, by Gauss-Newton;
+/* The residual of `count` intervals that is left where both first states fit best, by Gauss-Newton
+ * in at most `most_runs` runs, converged or not;
  * `reading` and `residual` have [count + 1]. It ends where a step would take off less than
  * `least_gain` mean squares. Returns how many runs there were; 0 where one could not be followed. */
 int64_t whole_motor_residual(const double *p, double torque_constant, int64_t count,

@@ -40,7 +40,6 @@ NO_LOAD_SPEED = 2
 """Place of the no-load speed among the constants of a motor."""
 
 _COVARIANCE = LOADED + LOADED**2
-_FILTER = _COVARIANCE + 2  # and log-likelihood and share
 
 
 class FilterBank:
@@ -65,7 +64,7 @@ class FilterBank:
     """
 
     def __init__(self, motors: int, *, is_compiled: bool = True) -> None:
-        filters = np.zeros((motors, WALKS.size, _FILTER))
+        filters = np.zeros((motors, WALKS.size, filtered_speed.FILTER_SIZE))
         self.states: Array = filters[:, :, :LOADED]
         self.covariance: Array = filters[:, :, LOADED:_COVARIANCE].reshape(
             motors, WALKS.size, LOADED, LOADED

@@ -43,6 +43,7 @@ from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window_learner import WindowLearner
 from gray_box_observer.context_nodes.rotor.window_schedule import (
     AGAIN,
+    FEW,
     FIRST_FIT,
     LONGEST_WAIT,
     WINDOW,
@@ -126,6 +127,7 @@ class RotorUpdate:
         )
         self._learner.noise_memory = noise_memory
         speed_measured = self._learner.speed_measured
+        self._is_one_of_many = replay is not None
         if replay is None:
             replay = replay_of_rotors(1, self._rules, speed_measured=speed_measured)
         self.replay = replay
@@ -301,10 +303,16 @@ class RotorUpdate:
         return None if self._fit_task is None else (self._fit_task.place, self._fit_task.samples)
 
     def begin_fit(self) -> None:
-        """Begin to fit what is remembered: a window, from where the one before has ended."""
+        """Begin to fit what is remembered: a window, from where the one before has ended.
+
+        The first window of one of many is short: a search from anywhere takes long.
+        """
         remembered_count = int(self.replay.remembered(self._one)[0])
         is_settled = self._learner.is_settled
-        place, count = self._schedule.next_window(remembered_count, is_settled=is_settled)
+        most = FEW if self._is_one_of_many and self._schedule.begun_at == 0 else WINDOW
+        place, count = self._schedule.next_window(
+            remembered_count, is_settled=is_settled, most=most
+        )
         samples = self.replay.newest(count, self._one, until=np.array([place]))
         self._begin(place, samples[:, 0].copy())
 
@@ -367,9 +375,9 @@ class RotorUpdate:
         return is_before and self._schedule.has_news
 
     @property
-    def is_new(self) -> bool:
-        """Whether no window of the motor has been fitted yet."""
-        return not (self._learner.counts['fits'] or self._learner.counts['windows without fit'])
+    def is_sketchy(self) -> bool:
+        """Whether the motor is explained, by less than a full window."""
+        return self._learner.is_settled and self._learner.memory is None
 
     def begin_at(self, theta: Array) -> None:
         """Begin where nearly the same white box has explained the same samples.

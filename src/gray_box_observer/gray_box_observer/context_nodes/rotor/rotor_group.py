@@ -24,7 +24,7 @@ from gray_box_observer.context_nodes.pieces import (
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate, replay_of_rotors
 from gray_box_observer.samples.group_merger import GroupMerger
-from gray_box_observer.samples.sample import Sample
+from gray_box_observer.samples.sample import Sample, passed_seconds
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -88,7 +88,8 @@ class RotorGroup:
         self._fitted_count = np.ones(count, dtype=np.int64)
         self._core_share = core_share
         self._budget = SharedBudget(core_share)
-        self._is_new = np.ones(count, dtype=bool)
+        self._is_unseen = np.ones(count, dtype=bool)
+        self._is_sketchy = np.zeros(count, dtype=bool)
         self._has_changed: NDArray[np.bool_] = np.zeros(count, dtype=bool)
 
     @property
@@ -120,14 +121,16 @@ class RotorGroup:
             Whether an estimate has changed; see :attr:`changed`.
         """
         self._has_changed = np.zeros(self._has_changed.size, dtype=bool)
+        passed_s = passed_seconds(self._stamp_ns, sample)
         self._stamp_ns = sample.stamp_ns
         if self._is_frozen:
             return False
         if self._is_beginning is not None:
             sample, self._is_beginning = sample.resuming(self._is_beginning)
         self._remember(sample)
-        self._budget.share = max(self._core_share, float(self._is_new.mean()))
-        self._budget.grant(float(sample.interval_s.max()))
+        is_new = (self._place >= self._due) & (self._is_unseen | self._is_sketchy)
+        self._budget.share = max(self._core_share, float(is_new.mean()))
+        self._budget.grant(passed_s)
         while self._budget.credit > 0:
             places = self._next_places()
             if not places:
@@ -173,6 +176,11 @@ class RotorGroup:
         self._take(place)
 
     @property
+    def is_frozen(self) -> bool:
+        """Whether nothing is learnt."""
+        return self._is_frozen
+
+    @property
     def core_share(self) -> float:
         """Share of a core that fits may take once most of the motors are known."""
         return self._core_share
@@ -187,7 +195,10 @@ class RotorGroup:
         self._due[place] = motor.due
         self._begun_at[place] = motor.begun_at
         self._fitted_count[place] = motor.fitted_count
-        self._is_new[place] = motor.is_new
+        self._is_unseen[place] = motor.begun_at == 0 or (
+            self._is_unseen[place] and motor.fitting is not None
+        )
+        self._is_sketchy[place] = motor.is_sketchy
         self._is_fitting[place] = motor.fitting is not None
 
     def rule(self, motor: int) -> RotorUpdate:
@@ -212,6 +223,11 @@ class RotorGroup:
         if estimate is None:
             estimate = self._estimates[place] = self.motors[place].estimate()
         return estimate
+
+    def late_count(self, motor: int) -> int:
+        """Return how many samples ago a fit of one motor was due that has not begun."""
+        is_waiting = self._place[motor] >= self._due[motor] and not self._is_fitting[motor]
+        return int(self._place[motor] - self._due[motor]) if is_waiting else 0
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Fits, windows that no fit was found for, and changes; of one motor or of all."""
@@ -253,8 +269,12 @@ class RotorGroup:
         changed_motors = []
         for place, motor in enumerate(self.motors):
             motor.note(self._place.item(place), self._stamp_ns, self._credit.item(place))
-            self._has_changed[place] = motor.finish()
-            if self._has_changed[place]:
+            has_changed = motor.finish()
+            if motor.is_due:  # it has waited for its turn
+                motor.begin_fit()
+                has_changed |= motor.complete()
+            self._has_changed[place] = has_changed
+            if has_changed:
                 changed_motors.append(place)
             self._take(place)
         return changed_motors

@@ -55,8 +55,15 @@ class WindowSchedule:
         """Whether enough samples have come since the last fit for another one at the end."""
         return self.place - self.begun_at >= NEWS and self.place - self.mark >= FIRST_FIT
 
-    def next_window(self, remembered_count: int, *, is_settled: bool) -> tuple[int, int]:
+    def next_window(
+        self, remembered_count: int, *, is_settled: bool, most: int = WINDOW
+    ) -> tuple[int, int]:
         """Return the place of the newest sample of the window that is fitted next, and its samples.
+
+        Args:
+            remembered_count: samples that there are.
+            is_settled: whether the motor is explained.
+            most: samples of the window, at most.
 
         Where a motor is not explained, and more samples than a window's have come, it is the newest
         ones that tell. So it is where far more have come, while others had their turn.
@@ -67,7 +74,7 @@ class WindowSchedule:
             mark = place - WINDOW
         if is_settled:
             place = min(place, mark + WINDOW)
-        return place, min(place - mark, WINDOW)
+        return place, min(place - mark, most)
 
     def skip(self, place: int, *, is_settled: bool) -> None:
         """Leave out samples of a voltage that was held."""

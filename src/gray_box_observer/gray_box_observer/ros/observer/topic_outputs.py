@@ -28,6 +28,7 @@ from gray_box_observer.ros.observer.message_templates import (
 )
 from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
 from gray_box_observer.ros.observer.serialized_publisher import SerializedPublisher
+from gray_box_observer.samples import Sample
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array, Parameter
@@ -108,7 +109,7 @@ class Outputs:
             if result.speeds is None:
                 self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
             else:
-                self._publish_speeds(names, result.sample.stamp_ns, result.speeds)
+                self._publish_speeds(names, result.sample, result.speeds)
             if self._alarm and result.estimate is not None:
                 self._publish_changed(result.group, result.changed_motors.tolist(), result.estimate)
 
@@ -126,13 +127,13 @@ class Outputs:
             std(self._value.render(speed.std_rad_s))
 
     def _publish_speeds(
-        self, names: tuple[str, ...], stamp_ns: int, speeds: SpeedEstimates
+        self, names: tuple[str, ...], sample: Sample, speeds: SpeedEstimates
     ) -> None:
         """Publish the speeds of motors that are sampled together, and deviations that have moved.
 
         A message of its own for every motor at every sample would take more than all else.
         """
-        data = self._speeds.render(names, stamp_ns, speeds.speed_rad_s)
+        data = self._speeds.render(names, sample.stamp_ns, speeds.speed_rad_s)
         if data is not None:
             self._speed(data)
         if not self._speed_std:
@@ -142,6 +143,8 @@ class Outputs:
         std = speeds.std_rad_s
         is_near = np.abs(std - published_std) <= STD_MOVED * published_std
         is_near |= np.isnan(std) & np.isnan(published_std)
+        if sample.present is not None:  # of those that are absent all stays as it was
+            is_near |= ~sample.present
         for motor in np.flatnonzero(~is_near).tolist():
             topic = self._speed_std[names[motor]]
             published_std[motor] = std[motor]
@@ -321,6 +324,7 @@ class Outputs:
         """Publish again, at the next chance, what goes out only on change and may be unheard."""
         self._published_identified.clear()
         self._published_fit.clear()
+        self._published_std.clear()
         for std in self._speed_std.values():  # with the next sample it is told again
             std.retract()
 
@@ -357,3 +361,6 @@ class Outputs:
             topic.retract()
         if motor in self._speed_std:
             self._speed_std[motor].retract()
+        for names, published_std in self._published_std.items():
+            if motor in names:
+                published_std[names.index(motor)] = math.nan
