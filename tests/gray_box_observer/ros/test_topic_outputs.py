@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimates
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_group import GroupResult
 from gray_box_observer.observer.motor_observer import MotorObserver
@@ -54,6 +55,7 @@ class Node:
 
     def __init__(self) -> None:
         self.sent = []
+        self.destroyed = []
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
@@ -61,6 +63,7 @@ class Node:
 
     def destroy_lifecycle_publisher(self, publisher):
         """Let one go."""
+        self.destroyed.append(publisher)
 
 
 def test_what_is_serialised_goes_out_while_the_node_is_active_and_the_topic_there() -> None:
@@ -109,7 +112,7 @@ def result(stamp_ns: int, torque_nm: float, interval_s: float = 0.01):
     sample = SimpleNamespace(stamp_ns=stamp_ns, interval_s=np.array([interval_s]))
     prediction = SimpleNamespace(torque_nm=np.array([torque_nm]))
     group = SimpleNamespace(names=('motor',), observer=None)
-    done = SimpleNamespace(alarm=np.array([False]), speed=None)
+    done = SimpleNamespace(alarm=np.array([False]), speed=None, speeds=None)
     return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
 
 
@@ -144,6 +147,50 @@ def test_stamps_of_voltages_between_torques_are_predicted_again_after_a_clock_wa
             outputs.prediction(('motor',), stamp_ns, np.array([0.1]))
         outputs.results([result(3, 0.1)])
     assert [stamp for stamp, _ in predicted(node)] == [2, 3, 2, 3]
+
+
+NAN = math.nan
+
+
+def speeds_result(stamp_ns: int, speed: list[float], std: list[float], present=None):
+    sample = SimpleNamespace(stamp_ns=stamp_ns, interval_s=np.full(3, 0.01), present=present)
+    group = SimpleNamespace(names=('a', 'b', 'c'), observer=None)
+    speeds = SpeedEstimates(np.array(speed), np.array(std))
+    done = SimpleNamespace(alarm=np.zeros(3, dtype=bool), speed=None, speeds=speeds)
+    return GroupResult(group, sample, None, np.array([], dtype=int), None, done)
+
+
+def stds_sent(node: Node, motor: str) -> list[float]:
+    return sent_to(node, 'speed_std', Float64, motor)
+
+
+def test_speeds_of_a_group_go_out_together_and_deviations_where_they_have_moved() -> None:
+    node = Node()
+    flat = {'motors': ['a', 'b', 'c'], 'predictor': False}
+    for motor in flat['motors']:
+        flat |= {f'{motor}.speed_source': 'rotor', f'{motor}.back_emf_constant': 0.02}
+    outputs = Outputs(node, Configuration.from_flat(flat))
+    outputs.results([speeds_result(1, [1.0, 2.0, NAN], [0.1, 0.2, NAN])])
+    outputs.results([speeds_result(2, [1.5, 2.5, NAN], [0.105, 0.3, NAN])])
+    data = [data for topic, data in node.sent if topic == '~/speed']
+    told = [deserialize_message(one, JointState) for one in data]
+    assert [list(one.name) for one in told] == [['a', 'b']] * 2
+    assert list(told[1].velocity) == [1.5, 2.5]
+    assert stds_sent(node, 'a') == [0.1]
+    assert stds_sent(node, 'b') == [0.2, 0.3]
+    away = np.array([True, False, True])
+    outputs.results([speeds_result(3, [1.5, NAN, NAN], [0.1, NAN, NAN], away)])
+    assert node.destroyed == []  # who is absent from a message is not forgotten
+    outputs.results([speeds_result(4, [1.5, NAN, NAN], [0.1, NAN, NAN])])
+    assert len(node.destroyed) == 1  # of b nothing is believed any more
+    outputs.forget_published()
+    outputs.results([speeds_result(5, [1.5, NAN, 7.0], [0.1, NAN, 0.7])])
+    assert stds_sent(node, 'a') == [0.1, 0.1]
+    assert stds_sent(node, 'c') == [0.7]
+    outputs.retract_motor('a')
+    outputs.results([speeds_result(6, [1.5, NAN, 7.0], [0.1, NAN, 0.7])])
+    assert stds_sent(node, 'a') == [0.1, 0.1, 0.1]
+    assert stds_sent(node, 'c') == [0.7]
 
 
 def test_what_is_not_finite_is_no_prediction():
@@ -231,11 +278,11 @@ def test_an_estimate_goes_out_as_the_messages_that_would_be_built() -> None:
         assert sent == messages
 
 
-def sent_to(node: Node, name: str, kind: type) -> list[object]:
+def sent_to(node: Node, name: str, kind: type, motor: str = 'motor') -> list[object]:
     return [
         deserialize_message(data, kind).data
         for topic, data in node.sent
-        if topic == f'~/motor/{name}'
+        if topic == f'~/{motor}/{name}'
     ]
 
 

@@ -42,8 +42,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'group_core_share',
         0.2,
-        'Share of a core that fits and tests of motors with a rotor that are computed together may '
-        'take; what is left undone comes later.',
+        'Share of a core that fits and tests of motors with a rotor that are computed together '
+        '(from group_from on, predictor: false) may take; more while they are new. What is left '
+        'undone comes later.',
         0.01,
         64.0,
     ),
@@ -67,7 +68,12 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'of the thesis.',
         choices=('recursive', 'gradient'),
     ),
-    ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
+    ParameterSpec(
+        'predictor',
+        True,
+        'Train and run the LSTM predictor. Of motors with a rotor each then stays by itself, '
+        'however many they are.',
+    ),
     ParameterSpec(
         'variant',
         PHYSICS,
