@@ -2,7 +2,7 @@
 
 Every sample is remembered for all of them at once. A motor is looked at where a fit of it is due or
 under way. All fits together have a share of the time, in which the motors take turns: what is left
-undone comes later. The share is larger as long as many of the motors are new.
+undone comes later. The share is larger while many of the motors wait for their first fits.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from gray_box_observer.samples.sample import Sample, passed_seconds
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+SHARE_OF_NEW = 0.5
+"""Share of a core that fits may take while all motors are new."""
+
 MOST_UNDER_WAY = 4
 """Fits that are under way at a time: each holds its samples and runs."""
 
@@ -44,7 +47,7 @@ class RotorGroup:
         rules: settings, as of :class:`RotorUpdate`.
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known.
-        core_share: share of a core that fits may take, or the share of motors that are new.
+        core_share: share of a core that fits may take, but while many motors are new.
     """
 
     def __init__(
@@ -129,7 +132,7 @@ class RotorGroup:
             sample, self._is_beginning = sample.resuming(self._is_beginning)
         self._remember(sample)
         is_new = (self._place >= self._due) & (self._is_unseen | self._is_sketchy)
-        self._budget.share = max(self._core_share, float(is_new.mean()))
+        self._budget.share = max(self._core_share, SHARE_OF_NEW * float(is_new.mean()))
         self._budget.grant(passed_s)
         while self._budget.credit > 0:
             places = self._next_places()
