@@ -11,9 +11,11 @@ from collections.abc import Generator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.saved_state import MOST, whole
+from gray_box_observer.white_box.interface import Array
 
 Result = TypeVar('Result')
 
@@ -95,6 +97,12 @@ def completed_within(work: Pieces[Result], most: int) -> Result | None:
 def granted_share(interval_s: float) -> int:
     """Return the work that a sample grants, by the time in s since the one before."""
     return int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
+
+
+def granted_shares(interval_s: Array) -> NDArray[np.int64]:
+    """Return the same of many motors, shape (motor,)."""
+    shares = np.clip(SHARE_A_SECOND * interval_s, SHARE, LARGEST_SHARE)
+    return shares.astype(np.int64)
 
 
 class SharedBudget:

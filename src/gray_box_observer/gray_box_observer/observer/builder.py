@@ -323,8 +323,8 @@ def context_nodes(
     rules = RecursiveSettings(**configuration.group('recursive'))
     if white_box.has_rotor and len(motors) > 1:
         boxes = [motor.white_box(speed_measured=False) for motor in motors]
-        share = configuration['group_core_share']
-        return RotorGroup(boxes, initial, rules, verdicts, relative_std, 0.5 * share)
+        fit_share = 0.5 * configuration['group_core_share']  # tests have the other half
+        return RotorGroup(boxes, initial, rules, verdicts, relative_std, fit_share)
     if white_box.has_rotor:
         merges_held = not _makes_voltage(motors)
         return RotorUpdate(

@@ -76,9 +76,10 @@ class GroupSpeeds:
         goes_on = is_known & self._bank.is_running & (sample.interval_s > 0.0)
         speed, std = self._followed(sample, current_a, goes_on)
         for place in np.flatnonzero(is_known & ~goes_on).tolist():
+            interval_s = sample.interval_s.item(place)
+            voltage_v = sample.voltage_v.item(place)
             own = self._motors[place].follow(
-                *(theta[place], sample.interval_s.item(place), sample.voltage_v.item(place)),
-                current_a.item(place),
+                theta[place], interval_s, voltage_v, current_a.item(place)
             )
             if own is not None:
                 speed[place] = own.speed_rad_s

@@ -30,7 +30,10 @@ WORK_OF_TEST, WORK_A_TESTED = 3000, 7
 
 
 class RotorGroupTests(PendingTests):
-    """Tests the fit of rotors that are sampled together; arguments are those of PendingTests."""
+    """Tests the fit of rotors that are sampled together; arguments are those of PendingTests.
+
+    Tests have as large a share of a core as the group's fits.
+    """
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)

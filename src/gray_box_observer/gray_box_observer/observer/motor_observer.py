@@ -412,10 +412,8 @@ class MotorObserver:
             self._speed.believe(belief.theta[0], belief.covariance[0], self._fit.assessment(0))
         elif self._speed is not None:
             for motor in np.arange(self.motors)[motors].tolist():
-                self._speed.believe(
-                    *(motor, belief.theta[motor], belief.covariance[motor]),
-                    self._fit.assessment(motor),
-                )
+                fit = self._fit.assessment(motor)
+                self._speed.believe(motor, belief.theta[motor], belief.covariance[motor], fit)
         return public_estimate
 
     def freeze(self, is_frozen: bool) -> None:

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
-from gray_box_observer.context_nodes.pieces import (
-    LARGEST_SHARE,
-    SAVED,
-    SHARE,
-    SHARE_A_SECOND,
-    SharedBudget,
-)
+from gray_box_observer.context_nodes.pieces import SAVED, SharedBudget, granted_shares
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate, replay_of_rotors
 from gray_box_observer.samples.group_merger import GroupMerger
@@ -32,7 +26,7 @@ SHARE_OF_NEW = 0.5
 """Share of a core that fits may take while all motors are new."""
 
 MOST_UNDER_WAY = 4
-"""Fits that are under way at a time: each holds its samples and runs."""
+"""Fits that go on at a time: each holds its samples and runs."""
 
 LEAST_WORK = 100
 """Work of a motor's turn at least: a voltage that was held is soon looked through."""
@@ -147,7 +141,7 @@ class RotorGroup:
         for one in self._merger.step(sample):
             self.replay.append(one)
             self._place += 1 if one.present is None else one.present
-        share = np.clip(SHARE_A_SECOND * sample.interval_s, SHARE, LARGEST_SHARE).astype(int)
+        share = granted_shares(sample.interval_s)
         if sample.present is not None:
             share = np.where(sample.present, share, 0)
         self._credit = np.minimum(self._credit + share, SAVED)
