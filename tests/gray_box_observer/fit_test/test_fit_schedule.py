@@ -105,8 +105,7 @@ def test_a_misfit_that_has_become_another_motor_is_asked_ever_less(schedule: Fit
 def test_the_wait_follows_the_samples_and_doubles_after_misfits() -> None:
     passed, misfit = (result_at(0, verdict, 1500) for verdict in (FitVerdict.OK, FitVerdict.MISFIT))
     assert wait_after(None, FitVerdict.OK, 10) == SHORTEST_WAIT
-    assert wait_after(None, FitVerdict.WARNING, 700) == SHORTEST_WAIT
-    assert wait_after(passed, FitVerdict.WARNING, 700) == 700
+    assert wait_after(None, FitVerdict.WARNING, 700) == 700
     assert wait_after(misfit, FitVerdict.OK, 9000) == LONGEST_WAIT
     assert wait_after(passed, FitVerdict.MISFIT, 700) == SHORTEST_WAIT
     assert wait_after(result_at(0, FitVerdict.MISFIT, 100), FitVerdict.MISFIT, 700) == 200

@@ -64,7 +64,7 @@ def test_so_does_one_that_gets_hot_right_after_a_fit_and_its_test() -> None:
     motor = observer.motors['motor']
     assert motor.identified
     fit = motor.observer.state()[0]['fit']
-    assert fit['tested_at'] == -5, 'tested at once: the next estimate is a thousand samples away'
+    assert fit['tested_at'] == -7, 'tested at once: the next estimate is a thousand samples away'
     assert 'later' not in fit
     begin_ns = round((RIGHT_AFTER_S + 1.0 / RATE_HZ) * 1e9)
     feed(observer, [recorded(HOT, LIVELY, FOLLOWED_S, 2, RATE_HZ)], begin_ns)

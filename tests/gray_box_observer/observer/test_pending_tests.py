@@ -49,12 +49,17 @@ class Bench:
 
     def __init__(self, motors: int, nodes: type = SimpleNamespace) -> None:
         self.log: list[Any] = []
+        self.is_noise = False
         self.given_estimates: list[object] = []
         self.schedule = Schedule()
         stated = {'theta': np.ones((motors, 2)), 'replay': None, '__init__': lambda self: None}
         rule = type('Rule', (nodes,), stated)
         belief = SimpleNamespace(
-            context_nodes=rule(), test=self._test, begin_test=self._begin, follow=self._follow
+            context_nodes=rule(),
+            test=self._test,
+            begin_test=self._begin,
+            follow=self._follow,
+            leaves_noise_alone=lambda motor: self.is_noise,
         )
         self.tests = PendingTests(
             cast(ParameterBelief, belief),
@@ -133,7 +138,7 @@ def test_of_a_motor_alone_that_is_settled_the_question_waits_too() -> None:
     assert bench.estimated(0) == []
     assert bench.tests.is_waiting
     assert bench.run() == [('begin', 0)]
-    bench.tests.begin_sample()
+    bench.tests.begin_sample(0.001)
     assert bench.run() == ['piece']
     follow = [('follow', 0, 'result'), ('note', 0, False)]
     assert bench.estimated(0) == follow, 'it counts with the next estimate'
@@ -145,7 +150,7 @@ def test_a_piece_comes_before_what_is_due_and_is_left_out_where_samples_are_lear
     bench.schedule.settled = True
     bench.estimated(0)
     bench.run()
-    bench.tests.begin_sample()
+    bench.tests.begin_sample(0.001)
     bench.schedule.stale = True
     bench.tests.schedule_newest()
     bench.log.clear()
@@ -174,6 +179,14 @@ def test_the_newest_samples_alone_are_tested_where_they_are_stale_and_nothing_is
         bench.tests.schedule_newest()
     done = [entry[0] for entry in bench.run()]
     assert done == (['newest', 'note', 'keep'] if is_stale else [])
+
+
+def test_newest_samples_that_leave_noise_alone_need_no_test() -> None:
+    bench = Bench(1)
+    bench.is_noise = True
+    bench.schedule.stale = True
+    bench.tests.schedule_newest()
+    assert bench.run() == [('note', 0, False)]
 
 
 def test_giving_up_leaves_nothing() -> None:

@@ -287,15 +287,12 @@ class FitSchedule:
 def wait_after(before: FitResult | None, verdict: FitVerdict, count: int) -> int:
     """Return the samples to the next test: as many as this one; after a misfit few, then doubling.
 
-    After a first test that was not passed well they are few, too: the estimate may be of the few
-    samples that there were when its fit began, and the next one is near.
-
     Args:
         before: what the test before has left; None: there was none.
         verdict: of this test.
         count: samples that it rests on.
     """
-    if verdict is FitVerdict.OK or (verdict is FitVerdict.WARNING and before is not None):
+    if verdict is not FitVerdict.MISFIT:
         return int(np.clip(count, SHORTEST_WAIT, LONGEST_WAIT))
     if before is None or before.assessment.verdict is not FitVerdict.MISFIT:
         return SHORTEST_WAIT

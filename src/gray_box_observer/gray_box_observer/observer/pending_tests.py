@@ -139,15 +139,10 @@ class PendingTests:
                 self._tests_due.append((motor, False))
 
     def schedule_newest(self) -> None:
-        """Ask of motors with a rotor whether their newest samples alone are to be tested."""
+        """Ask of a motor with a rotor whether its newest samples alone are to be tested."""
         replay = self._belief.context_nodes.replay
-        if self._is_alone:
-            if not self._tests_due and self._schedule.is_stale(replay, 0):
-                self._tests_due.append((0, True))
-            return
-        due_motors = {motor for motor, _ in self._tests_due}
-        stale_motors = self._schedule.stale(replay)
-        self._tests_due += [(motor, True) for motor in stale_motors if motor not in due_motors]
+        if not self._tests_due and self._schedule.is_stale(replay, 0):
+            self._tests_due.append((0, True))
 
     def test(
         self,

@@ -1,7 +1,7 @@
 """When a window of samples is fitted, where it begins, and how many samples it has.
 
-The first fit comes as soon as there are a few samples, the next ones with half as many more each,
-up to AGAIN. From a full window on, one window follows another.
+The first fit comes as soon as there are a few samples, the next ones with half as many more each.
+From a full window on, one window follows another.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class WindowSchedule:
         """Settle when the next fit is due: with half as many more, later where nothing fits."""
         in_vain = not is_settled and count >= AGAIN
         self.wait = min(2 * self.wait, LONGEST_WAIT) if in_vain else AGAIN
-        more = AGAIN if count >= AGAIN else count // (4 if count < FEW else 2)
+        more = min(count // (4 if count < FEW else 2), AGAIN)
         if count < WINDOW:
             more = min(more, WINDOW - count)
         self.due = place + (self.wait if in_vain else more)
