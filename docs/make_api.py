@@ -138,7 +138,7 @@ def page() -> str:
     lines += service_lines('gray_box_observer', observer, managed)
     lines += ['### Parameters', '', 'The same file serves `identify --params`.', '']
     lines += table(PARAMETER_HEAD, spec_rows(OBSERVER_PARAMETERS))
-    lines += ['Of each motor, in a group under its name:', '']
+    lines += ['Of each motor, in a group under its name, or under `defaults` for all:', '']
     lines += table(PARAMETER_HEAD, spec_rows(MOTOR_PARAMETERS, '<motor>.'))
     lines += ['Of each input that an expression names, in a group under its name:', '']
     lines += table(PARAMETER_HEAD, spec_rows(INPUT_PARAMETERS, '<input>.'))

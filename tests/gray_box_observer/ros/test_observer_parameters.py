@@ -272,6 +272,14 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, e
     assert code == 0
     assert 'not of this node, ignored: m_2.torque_constant; --help' in said
     assert 'robot_radius' not in said  # another node's, by the wildcard
+    many = "motors: ['m[1..2]']\n    'm[1..2]': {torque_constant: 0.02}\n    speed_source: rotor\n"
+    path.write_text(f'/**:\n  ros__parameters:\n    {many}')
+    rig.start('--ros-args', '--params-file', str(path))
+    rig.peer.wait(lambda: rig.status('m2'), 'the diagnostics of m2')
+    code, _, said = rig.peer.end(rig.process)
+    assert code == 0
+    assert 'm[1..2].torque_constant (did you mean defaults.torque_constant?)' in said
+    assert 'speed_source (did you mean defaults.speed_source?); --help' in said
     path.write_text(f'{own}    checkpoint: {{resum: true}}\n')
     code, _, said = end_here(
         MODULE, '--ros-args', '--params-file', str(path), '-p', 'predictor:=false'

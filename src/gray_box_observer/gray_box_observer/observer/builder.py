@@ -244,8 +244,8 @@ def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]
     """Say why a rotor cannot be tried; None where it can."""
     if len(motors) > 1:
         return (
-            'the motor is computed together with others; set its speed_source to rotor, or '
-            'group_from above the number of motors'
+            'the motor is computed together with others; set its speed_source to rotor and '
+            'predictor to false, or group_from above the number of motors'
         )
     if configuration['context_update'] != 'recursive':
         return f'context_update is {configuration["context_update"]}, and a rotor needs recursive'

@@ -1,9 +1,10 @@
 """Parameters that were given to a node and that it does not have: refused, or passed over.
 
-A name on the command line is meant for this node and has to be one of its own. A parameter file
-may serve several nodes: of its names, slips of the node's own are refused. Of others the log warns
-where the file's section names this node, or where a name is the node's own but for its group, as
-that of a motor that is not listed. What else stands below a wildcard is that of other nodes.
+A name on the command line is meant for this node and has to be one of its own. A parameter file may
+serve several nodes: of its names, slips of the node's own are refused. Of others the log warns
+where the file's section names this node, or where a name is the node's own but for its group: that
+of a motor that is not listed, none, or a range of motors. What else stands below a wildcard is that
+of other nodes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gray_box_observer.settings.parameter_names import (
     is_of_another_group,
     nearest,
     slip_of,
+    without_group,
 )
 
 Known = Callable[[str], Iterable[str]]
@@ -61,14 +63,17 @@ def settle(
     if not unknown_names:
         return
     own_section_names = names_of_node(words, node.get_name())
+    known_names = {name: without_group(name, valid_names(name)) for name in unknown_names}
     dubious_names = [
         name
         for name in unknown_names
-        if name in own_section_names or is_of_another_group(name, valid_names(name))
+        if name in own_section_names
+        or known_names[name]
+        or is_of_another_group(name, valid_names(name))
     ]
     log = node.get_logger()
     if dubious_names:
-        names = in_words(dict.fromkeys(dubious_names, ''))
+        names = in_words({name: known_names[name] for name in dubious_names})
         log.warning(printable(f'not of this node, ignored: {names}; --help lists its parameters'))
     others = sorted(set(unknown_names) - set(dubious_names))
     if others:

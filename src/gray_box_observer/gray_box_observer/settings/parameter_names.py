@@ -56,6 +56,18 @@ def is_of_another_group(name: str, valid_names: Iterable[str]) -> bool:
     return bool(dot) and any(candidate.partition('.')[2] == rest for candidate in valid_names)
 
 
+def without_group(name: str, valid_names: Iterable[str]) -> str:
+    """Return the known name that a name without a group may stand for; empty where it is none.
+
+    Args:
+        name: parts joined by dots, or the same below a range of motors, such as ``m[1..9]``.
+        valid_names: parts joined by dots.
+    """
+    start, bracket, end = name.partition('].')
+    own = end if bracket and '[' in start else name
+    return next((valid for valid in valid_names if valid.partition('.')[2] == own), '')
+
+
 def nearest(name: str, valid_names: Iterable[str]) -> str:
     """Return the known name that comes nearest to a name; empty where none is anything like it."""
     names = list(valid_names)

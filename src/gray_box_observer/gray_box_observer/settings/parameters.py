@@ -28,7 +28,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'motors',
         ['motor'],
-        'Names of the motors, as in JointState.name; m[1..9] stands for m1 to m9. At most 10,000.',
+        "Names of the motors, as in JointState.name; 'm[1..9]', in quotes, stands for m1 to m9. At "
+        'most 10,000.',
     ),
     ParameterSpec(
         'group_from',
