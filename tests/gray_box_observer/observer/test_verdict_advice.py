@@ -27,7 +27,7 @@ def observed(rate_hz: float, *, stamps_exact: bool) -> Observer:
 def test_of_an_inductance_that_few_samples_tell_no_more_voltage_is_asked_for() -> None:
     slow = verdict_advice(observed(100.0, stamps_exact=False).motors['motor'])
     assert slow is not None
-    assert slow.startswith('inductance: L/R is shorter than 2 samples: sample faster, or set stamps')
+    assert slow.startswith('inductance: L/R is shorter than 2 samples: sample faster, or set')
     assert verdict_advice(observed(100.0, stamps_exact=True).motors['motor']) is None
     assert verdict_advice(observed(1000.0, stamps_exact=False).motors['motor']) is None
 
