@@ -98,20 +98,25 @@ def feed(
     return results
 
 
-@pytest.fixture(scope='module')
-def whole(signals: Signals) -> tuple[Observer, dict[str, list[Result]]]:
-    """The observer of all motors together, and what became of each."""
-    together = observer()
-    return together, feed(together, signals)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize('name', NAMES)
-def test_motors_of_a_group_are_what_each_would_be_alone(
-    signals: Signals, whole: tuple[Observer, dict[str, list[Result]]], name: str
-) -> None:
-    together, results = whole
+def test_motors_of_a_group_are_what_each_would_be_alone(signals: Signals) -> None:
+    together = observer()
+    results = feed(together, signals)
     assert [group.names for group in together.groups(NAMES)] == [NAMES]
+    for name in NAMES:
+        check_is_as_alone(signals, together, results, name)
+    estimates = together.estimates()
+    for name in (SHY, BLIND):
+        assert estimates[name].verdicts[0][1] is Verdict.IDENTIFIED
+        assert estimates[name].value[0, 1] == pytest.approx(2.0, rel=0.01)
+    is_misfit = together.fit(HOT).verdict is FitVerdict.MISFIT
+    assert is_misfit or estimates[HOT].value[0, 1] == pytest.approx(3.0, rel=0.02)
+
+
+def check_is_as_alone(
+    signals: Signals, together: Observer, results: dict[str, list[Result]], name: str
+) -> None:
+    """Check that a motor of a group is what it would be alone, but for when a fit ends."""
     single = observer(group_from=1000)
     alone = feed(single, signals, (name,))[name]
     mine = results[name]
@@ -138,20 +143,6 @@ def test_motors_of_a_group_are_what_each_would_be_alone(
     assert stalls[1] is not None
     assert stalls[0].count == stalls[1].count
     assert stalls[0].still_s == pytest.approx(stalls[1].still_s)
-
-
-@pytest.mark.slow
-def test_motors_are_known_and_what_has_changed_is_no_more(
-    whole: tuple[Observer, dict[str, list[Result]]],
-) -> None:
-    together, _ = whole
-    resistance = {name: float(one.value[0, 1]) for name, one in together.estimates().items()}
-    verdicts = {name: one.verdicts[0][1] for name, one in together.estimates().items()}
-    for name in (SHY, BLIND):
-        assert verdicts[name] is Verdict.IDENTIFIED
-        assert resistance[name] == pytest.approx(2.0, rel=0.01)
-    is_misfit = together.fit(HOT).verdict is FitVerdict.MISFIT
-    assert is_misfit or resistance[HOT] == pytest.approx(3.0, rel=0.02)
 
 
 @pytest.mark.slow
