@@ -93,6 +93,12 @@ KINDS: Mapping[str, Kind] = {
     ),
     'thesis': Kind({**SMALL_TRAINING, 'variant': 'main'}),
     'group': Kind({**SMALL_TRAINING, 'group_from': 2}, motors=4),
+    'rotors': Kind(
+        {'predictor': False, 'group_from': 2,
+         **{f'm{k}.speed_source': 'rotor' for k in range(2)},
+         **{f'm{k}.back_emf_constant': 0.01 for k in range(2)}},
+        motors=2, before=700, simulation={'speed_mode': 'rotor'},
+    ),
 }  # fmt: skip
 
 

@@ -80,6 +80,20 @@ KINDS: dict[str, tuple[Setup, list[Action]]] = {
         Setup(predictor=False, changes=ROTORS[:1]),
         [Regular(1500), Operation('restart'), Regular(300)],
     ),
+    'hidden rotors in the same messages': (
+        Setup(motors=2, predictor=False, changes=(*ROTORS[:1], ('group_from', 2))),
+        [
+            Regular(700),
+            Regular(40, missing=('torque',), spoken_of='some'),
+            Operation('freeze', argument=True),
+            Regular(60),
+            Operation('freeze', argument=False),
+            Gap(600),
+            Regular(500, spoken_of='some'),
+            Operation('restart'),
+            Regular(300, missing=('voltage',), spoken_of='some'),
+        ],
+    ),
     'a current and a voltage that is an expression': (
         Setup(changes=(('torque.quantity', 'current'), ('voltage.expression', '0.5 * raw'))),
         [Regular(1021), Regular(55, missing=('voltage',)), Regular(100)],
