@@ -157,7 +157,8 @@ def test_of_a_known_resistance_the_inductance_is_told() -> None:
     nodes = tuple(node for node in NODES if node != 'resistance')
     box = MotorWhiteBox(nodes, KT, {'back_emf_constant': KB, 'resistance': 1.0}, load_varies=True)
     theta = np.delete(THETA, 1)
-    assert is_resolved(box, Window.from_samples(box, signals_of(samples_of(loaded())[:600])), theta)
+    window = Window.from_samples(box, signals_of(samples_of(loaded())[:600]))
+    assert is_resolved(box, window.interval_s, theta)
 
 
 def test_histories_too_short_for_knots_are_left_out() -> None:

@@ -6,8 +6,10 @@ import math
 import sys
 from typing import Any
 
+import group_messages
 import numpy as np
 import pytest
+from group_messages import Signals
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
@@ -37,7 +39,7 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope='module')
-def said(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def said(recording: Recording) -> Signals:
     """Voltage and torque of every motor as sensors say; infinite: absent from the message."""
     random = np.random.default_rng(2)
     told = {}
@@ -59,28 +61,15 @@ def observer(**given: Any) -> Observer:
 
 
 def feed(
-    one: Observer,
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
-    names: tuple[str, ...],
-    first: int = 0,
-    last: int = SAMPLES,
+    one: Observer, said: Signals, names: tuple[str, ...], first: int = 0, last: int | None = None
 ) -> dict[str, list[Result]]:
     """Give messages of some motors to an observer; return what became of each."""
-    results: dict[str, list[Result]] = {name: [] for name in names}
-    for k in range(first, last):
-        for signal, what in enumerate(('voltage', 'torque')):
-            spoken = tuple(name for name in names if not math.isinf(said[name][signal][k]))
-            if spoken:
-                values = np.array([said[name][signal][k] for name in spoken])
-                for group in one.ingest(what, spoken, k * PERIOD_NS, values):
-                    for result in group:
-                        results[result.motor].append(result)
-    return results
+    return group_messages.feed(one, said, names, PERIOD_NS, first, last)
 
 
 @pytest.mark.slow
 def test_motors_in_one_message_are_what_each_would_be_alone(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     whole = observer()
     together = feed(whole, said, NAMES)
@@ -127,7 +116,7 @@ def test_motors_in_one_message_are_what_each_would_be_alone(
     assert whole.motors[CHANGED].counters['motor changes'] == 1
 
 
-def test_few_motors_stay_by_themselves(said: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+def test_few_motors_stay_by_themselves(said: Signals) -> None:
     one = observer(group_from=MOTORS + 1, predictor=False)
     feed(one, said, NAMES, last=50)
     assert [group.names for group in one.groups((CALM, PLAIN))] == [(CALM,), (PLAIN,)]
@@ -146,7 +135,7 @@ def test_by_default_the_motors_of_a_robot_are_observed_one_by_one(motors: int, g
 
 
 def test_motors_of_different_kinds_are_not_computed_together(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     other = {f'{name}.context_nodes': ['inductance', 'resistance'] for name in NAMES[:4]}
     one = observer(group_from=2, predictor=False, **other)
@@ -156,7 +145,7 @@ def test_motors_of_different_kinds_are_not_computed_together(
 
 
 def test_motors_whose_torque_comes_in_several_messages_are_parted(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer(group_from=2, predictor=False)
     halves = ((CALM, CHANGED), (GONE, STIFF, PLAIN))
@@ -186,7 +175,7 @@ def test_a_torque_that_was_given_up_waits_no_more_when_its_motors_are_parted() -
 
 
 def test_motors_with_speed_are_parted_from_those_without(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer(group_from=2)
     speeds = np.array([3.0 if k < 3 else np.nan for k in range(MOTORS)])
@@ -200,7 +189,7 @@ def test_motors_with_speed_are_parted_from_those_without(
 
 
 def test_a_group_is_forecast_as_it_is_predicted(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer()
     compared = 0
@@ -226,7 +215,7 @@ def test_a_group_is_forecast_as_it_is_predicted(
 
 @pytest.mark.slow
 def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
-    said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
+    said: Signals, tmp_path: Any
 ) -> None:
     one = observer()
     feed(one, said, NAMES, last=700)
@@ -250,7 +239,7 @@ def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
 
 
 def test_a_checkpoint_that_is_refused_leaves_every_motor_by_itself(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer()
     feed(one, said, NAMES, last=200)
@@ -268,7 +257,7 @@ def test_a_checkpoint_that_is_refused_leaves_every_motor_by_itself(
 
 @pytest.mark.slow
 def test_freezing_and_new_settings_reach_a_group(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer()
     feed(one, said, NAMES, last=600)
@@ -314,7 +303,7 @@ def test_parting_a_group_forgets_no_message() -> None:
 
 
 def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint(
-    said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
+    said: Signals, tmp_path: Any
 ) -> None:
     names = (CALM, STIFF)
     one, other = (observer(group_from=2) for _ in range(2))
@@ -331,7 +320,7 @@ def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint
 
 
 def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
-    said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
+    said: Signals, tmp_path: Any
 ) -> None:
     one, other = (observer(group_from=2) for _ in range(2))
     speeds = np.array([3.0 if k < 3 else np.nan for k in range(MOTORS)])
@@ -347,7 +336,7 @@ def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
 
 
 def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_went_away(
-    said: dict[str, tuple[np.ndarray, np.ndarray]],
+    said: Signals,
 ) -> None:
     one = observer(group_from=2)
     names = (CALM, CHANGED, GONE, STIFF)

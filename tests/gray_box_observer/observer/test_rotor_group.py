@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import group_messages
 import numpy as np
 import pytest
+from group_messages import Signals
 from rotor_records import GEAR_MOTOR, LIVELY
 
 from dc_motor_sim.plant import PlantParameters
@@ -35,7 +37,6 @@ sooner."""
 
 LATE_TEST = 'samples since a test was due'
 
-Signals = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 @pytest.fixture(scope='module')
@@ -84,18 +85,10 @@ def feed(
     said: Signals,
     names: tuple[str, ...] = NAMES,
     first: int = 0,
-    last: int = SAMPLES,
+    last: int | None = None,
 ) -> dict[str, list[Result]]:
     """Give messages of some motors to an observer; return what became of each."""
-    results: dict[str, list[Result]] = {name: [] for name in names}
-    for k in range(first, last):
-        for signal, what in enumerate(('voltage', 'torque')):
-            spoken = tuple(name for name in names if not math.isinf(said[name][signal][k]))
-            values = np.array([said[name][signal][k] for name in spoken])
-            for group in one.ingest(what, spoken, k * PERIOD_NS, values):
-                for result in group:
-                    results[result.motor].append(result)
-    return results
+    return group_messages.feed(one, said, names, PERIOD_NS, first, last)
 
 
 @pytest.mark.slow
@@ -199,15 +192,12 @@ def test_whoever_asks_meanwhile_changes_nothing(signals: Signals, share: float) 
     results: list[list[tuple[Any, ...]]] = [[], []]
     for k in range(SAMPLES):
         for one, seen in zip((quiet, asked), results, strict=True):
-            for signal, what in enumerate(('voltage', 'torque')):
-                spoken = tuple(name for name in NAMES if not math.isinf(signals[name][signal][k]))
-                values = np.array([signals[name][signal][k] for name in spoken])
-                for group in one.ingest(what, spoken, k * PERIOD_NS, values):
-                    seen += [
-                        (result.motor, result.estimate.value.tobytes(), result.estimate.verdicts)
-                        for result in group
-                        if result.estimate is not None
-                    ]
+            for name, found in feed(one, signals, first=k, last=k + 1).items():
+                seen += [
+                    (name, result.estimate.value.tobytes(), result.estimate.verdicts)
+                    for result in found
+                    if result.estimate is not None
+                ]
         if HOT in asked.motors:
             rule = asked.group_of(HOT).observer
             assert rule is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes.rotor.window_fit import RESOLVED, is_resolved
 from gray_box_observer.observer.motor_view import MOST_JUDGED, MotorView
 from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL
@@ -12,9 +13,6 @@ ADVICE = {
     Verdict.UNEXCITED: 'not excited: vary the voltage',
 }
 """By verdict, what matters most first."""
-
-FEWEST_SAMPLES = 2.0
-"""Samples in L/R below which more voltage does not tell L: its stamps would have to be exact."""
 
 FEW_SAMPLES_ADVICE = (
     'L/R is shorter than {samples:g} samples: sample faster, or set stamps_exact where stamps are '
@@ -36,7 +34,7 @@ def verdict_advice(motor: MotorView) -> str | None:
             at = [j for j in at if names[j] != 'inductance']
         is_inductance = [names[j] for j in at] == ['inductance']
         if verdict is Verdict.UNEXCITED and is_inductance and _is_unresolved(motor):
-            return f'inductance: {FEW_SAMPLES_ADVICE.format(samples=FEWEST_SAMPLES)}'
+            return f'inductance: {FEW_SAMPLES_ADVICE.format(samples=RESOLVED)}'
         if at:
             own_names = [f'{names[j]} {estimate.bound_met(0, j)}'.rstrip() for j in at]
             return f'{", ".join(own_names)}: {advice}'
@@ -47,6 +45,5 @@ def _is_unresolved(motor: MotorView) -> bool:
     """Tell whether few samples come in L/R, and their stamps need not be exact."""
     if motor.configuration.values['stamps_exact']:
         return False
-    values = motor.white_box.values(motor.estimate.value[0])
     interval_s = usual_interval(motor.newest(MOST_JUDGED)[INTERVAL])
-    return values['inductance'] < FEWEST_SAMPLES * interval_s * values['resistance']
+    return not is_resolved(motor.white_box, interval_s, motor.estimate.value[0])

@@ -1,5 +1,5 @@
-/* Filters of the speed that nobody measures, of many motors: context_nodes/rotor/speed_filter.py for
- * compiled code. */
+/* Filters of the speed that nobody measures, of many motors: context_nodes/rotor/speed_filter.py
+ * for compiled code. */
 #include <math.h>
 #include <stdint.h>
 
@@ -92,8 +92,8 @@ static void correct(const FilterSettings *set, double noise, double reading, Fil
     }
 }
 
-/* One sample of the filters of one motor: predict about their common mean, correct, agree. Where the
- * mean cannot be followed nothing has changed. */
+/* One sample of the filters of one motor: predict about their common mean, correct, agree. Where
+ * the mean cannot be followed nothing has changed. */
 static Agreed filtered(const double *p, const FilteredMotor *motor, const FilterSettings *set,
                        const double *walks, int64_t filters, const FilteredSample *sample,
                        Ladder *ladder, Filter *filter)
@@ -145,8 +145,8 @@ static Agreed filtered(const double *p, const FilteredMotor *motor, const Filter
 }
 
 /* One sample of each of `count` motors, whose places are `motor`. `p` is [][COORDINATES], `ladders`
- * [][filtered_speed_ladder_size()] with zeros where a motor's `p` is new, `filter` [][filters], all else
- * [] by place. */
+ * [][filtered_speed_ladder_size()] with zeros where a motor's `p` is new, `filter` [][filters], all
+ * else [] by place. */
 void filtered_speed_steps(int64_t count, const int64_t *motor, const FilterSettings *set,
                         const double *walks, int64_t filters, const double *p,
                         const FilteredMotor *known, double *ladders, const FilteredSample *sample,
@@ -156,7 +156,7 @@ void filtered_speed_steps(int64_t count, const int64_t *motor, const FilterSetti
     for (int64_t k = 0; k < count; k++) {
         const int64_t m = motor[k];
         Ladder *ladder = (Ladder *)(ladders + m * ladder_size);
-        agreed[m] = filtered(p + m * COORDINATES, known + m, set, walks, filters, sample + m, ladder,
-                             filter + m * filters);
+        agreed[m] = filtered(p + m * COORDINATES, known + m, set, walks, filters, sample + m,
+                             ladder, filter + m * filters);
     }
 }

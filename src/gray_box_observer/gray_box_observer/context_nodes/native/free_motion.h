@@ -1,5 +1,5 @@
-/* One motor with a rotor over a length of constant voltage: in closed form where there is one, else in
- * steps. */
+/* One motor with a rotor over a length of constant voltage: in closed form where there is one, else
+ * in steps. */
 #ifndef GRAY_BOX_OBSERVER_FREE_MOTION_H
 #define GRAY_BOX_OBSERVER_FREE_MOTION_H
 

@@ -57,9 +57,9 @@ int64_t whole_motor_follow(const double *p, double torque_constant, const double
     return count;
 }
 
-/* Run freely from a start and take the residual, and the sums of its squares with the derivatives by
- * both first states: `sums` is that of the products of these, then with the residual. Returns whether
- * all was followed. */
+/* Run freely from a start and take the residual, and the sums of its squares with the derivatives
+ * by both first states: `sums` is that of the products of these, then with the residual. Returns
+ * whether all was followed. */
 static int left(const double *p, double torque_constant, const double *start, int64_t count,
                 const double *voltage, const double *length, const double *reading,
                 const double *limits, double largest_step, int64_t most_steps, int64_t patience,
@@ -101,7 +101,8 @@ static int left(const double *p, double torque_constant, const double *start, in
 /* The residual of `count` intervals that is left where both first states fit best, by Gauss-Newton
  * in at most `most_runs` runs, converged or not;
  * `reading` and `residual` have [count + 1]. It ends where a step would take off less than
- * `least_gain` mean squares. Returns how many runs there were; 0 where one could not be followed. */
+ * `least_gain` mean squares. Returns how many runs there were; 0 where one could not be
+ * followed. */
 int64_t whole_motor_residual(const double *p, double torque_constant, int64_t count,
                              const double *voltage, const double *length, const double *reading,
                              const double *limits, double largest_step, int64_t most_steps,
@@ -110,7 +111,8 @@ int64_t whole_motor_residual(const double *p, double torque_constant, int64_t co
 {
     const double turns = p[BACK_EMF_CONSTANT];
     double start[STATES] = {reading[0], 0.0}, sums[STATES][STATES + 1];
-    if (turns > 0.0) start[SPEED] = (voltage[0] * p[INDUCTANCE] - p[RESISTANCE] * reading[1]) / turns;
+    if (turns > 0.0)
+        start[SPEED] = (voltage[0] * p[INDUCTANCE] - p[RESISTANCE] * reading[1]) / turns;
     start[SPEED] = smaller(larger(start[SPEED], -limits[SPEED]), limits[SPEED]);
     Ladder ladder;
     ladder_made(p, torque_constant, limits, length[count / 2], &ladder);

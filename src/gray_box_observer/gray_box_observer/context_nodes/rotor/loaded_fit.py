@@ -213,7 +213,7 @@ def _opened(white_box: MotorWhiteBox, fit: Fit) -> LoadedFit:
     variance = np.linalg.pinv(fit.information, hermitian=True)[place, place]
     open_std = np.array([ROUGH.get(name, 0.0) for name in nodes])
     open_std[rotor] = of_load
-    if not is_resolved(white_box, fit.runs.window, fit.theta):
+    if not is_resolved(white_box, fit.runs.window.interval_s, fit.theta):
         open_std[nodes.index('inductance')] = UNRESOLVED
     open_fit = replace(fit, information=0.5 * (information + information.T))
     return LoadedFit(open_fit, math.sqrt(max(float(variance), 0.0)), open_std)

@@ -143,7 +143,7 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
     """Search again from other inductances where the current settles within a few samples."""
     last = best.search
     nodes = best.search.white_box.context_nodes
-    if is_resolved(last.white_box, last.window, best.fit.theta):
+    if is_resolved(last.white_box, last.window.interval_s, best.fit.theta):
         return
     for factor in OTHERS:
         neighbour = best.fit.logarithms.copy()
@@ -156,16 +156,16 @@ def _try_others(best: SearchEnd, ends: list[SearchEnd]) -> Pieces[None]:
                 ends.append(end)
 
 
-def is_resolved(white_box: MotorWhiteBox, window: Window, theta: Array) -> bool:
+def is_resolved(white_box: MotorWhiteBox, interval_s: float, theta: Array) -> bool:
     """Tell whether the current's rise takes so many samples that one inductance explains it.
 
     Args:
-        white_box: of one motor with a rotor.
-        window: the samples.
+        white_box: of one motor.
+        interval_s: the usual one between two samples.
         theta: shape (parameter,).
     """
     values = white_box.values(theta)
-    slowest_s = RESOLVED * window.interval_s
+    slowest_s = RESOLVED * interval_s
     return bool(values['inductance'] > slowest_s * values['resistance'])
 
 
