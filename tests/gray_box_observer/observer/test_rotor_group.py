@@ -38,7 +38,6 @@ sooner."""
 LATE_TEST = 'samples since a test was due'
 
 
-
 @pytest.fixture(scope='module')
 def signals() -> Signals:
     """Voltage and torque of every motor; infinite: absent from the message."""
