@@ -410,6 +410,40 @@ def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
 
 
 @pytest.mark.slow
+def test_a_load_that_varied_in_few_samples_alone_is_constant() -> None:
+    """A load that walks explains a few samples of any motor; more of them need none."""
+    samples = readings('noisy')
+    update = learnt(samples[:160])
+    outputs, arrays = update.state()
+    arrays = {**arrays, 'outputs.walk': np.array([1e6])}
+    again = rule()
+    again.restore(outputs, arrays)
+    learnt(samples[160:900], again)
+    fit = again._outputs.output_fit
+    assert fit is not None and fit.explains
+    assert fit.walk == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', [1, 8])
+def test_nothing_is_believed_beside_coarse_steps_before_it_was_asked(seed: int) -> None:
+    """Of these encoders R was 7 % off, and known to 2 %, after 40 to 80 samples."""
+    rate_hz = 100.0
+    recording = recorded(duration_s=1.2, seed=seed, rate_hz=rate_hz)
+    speed = recording.speed_rad_s[0]
+    unit_rad = 2.0 * np.pi / 64
+    turned_rad = 0.3 + np.cumsum(0.5 * (speed[1:] + speed[:-1])) / rate_hz
+    count = np.floor(np.concatenate([[0.3], turned_rad]) / unit_rad)
+    read_rad_s = np.diff(count, prepend=count[0]) * unit_rad * rate_hz
+    samples = [
+        sample._replace(speed_rad_s=read_rad_s[k : k + 1])
+        for k, sample in enumerate(samples_of(recording))
+    ]
+    for fed_count in range(40, len(samples), 16):
+        assert Verdict.IDENTIFIED not in observed(samples[:fed_count])[0].verdicts[0]
+
+
+@pytest.mark.slow
 def test_a_motor_that_lacks_a_term_is_not_explained_by_noise_of_the_speed() -> None:
     samples = [
         sample._replace(voltage_v=sample.voltage_v + 1.5 * np.sign(sample.torque_nm))

@@ -168,3 +168,14 @@ def test_a_shaft_that_stands_still_leaves_nothing_open() -> None:
     content = _content(100, 0.0)
     content[3] = 0.0
     assert not likely_shift(L_AND_R, THETA[None, :2], content).any()
+
+
+@pytest.mark.parametrize('share', [0.1, 0.01, 0.001])
+def test_what_an_inductance_near_zero_cannot_take_of_a_lag_the_resistance_takes(
+    share: float,
+) -> None:
+    """A lag looks like a smaller L. Of one that is near zero nothing can be taken off."""
+    resistance_share = 0.5 * INTERVAL_S * KB * KT / (INERTIA * THETA[1])
+    content = _content(200, 0.5)
+    shift = likely_shift(L_AND_R, THETA[None, :2] * [share, 1.0], content)
+    assert 0.65 * resistance_share < abs(shift[1]) < 3.0 * resistance_share

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.samples.noise_floor import quantisation_step, speed_step
 
 
 def _current(samples: int, noise: float, seed: int) -> np.ndarray:
@@ -62,3 +62,18 @@ def test_two_levels_are_a_step_where_the_reading_toggles_between_them() -> None:
 def test_readings_that_never_change_or_are_no_numbers_have_no_step() -> None:
     assert quantisation_step(np.zeros((1, 50))) == 0.0
     assert quantisation_step(np.full((1, 50), np.nan)) == 0.0
+
+
+def test_a_rotor_that_jumps_back_to_the_same_speed_is_read_in_steps() -> None:
+    """At first it stands, then its encoder now and then reports a count."""
+    counts = np.concatenate([np.zeros(95), [1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0], np.ones(25)])
+    assert quantisation_step(-49.0 * counts[None]) == 0.0
+    assert speed_step(-49.0 * counts) == pytest.approx(49.0)
+    assert speed_step(-49.0 * np.sort(counts)) == 0.0  # it has moved once
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.01])
+def test_a_continuous_speed_has_no_step_even_where_it_rests(noise: float) -> None:
+    speed = _current(400, noise, 3)
+    assert speed_step(speed) == 0.0
+    assert speed_step(np.where(speed < 5.0, 0.0, speed - 5.0)) == 0.0

@@ -1,9 +1,9 @@
-"""Doubt about a measured speed that may be late, until it was asked whether it is.
+"""Doubt about a measured speed that may be late or coarse, until it was asked whether it is.
 
-Whether it is late, a fit of the whole motor tells, which takes more than a hundred samples. Until
-then estimates are believed as far as they do not lean on a lag that is likely
+Whether it is, a fit of the whole motor tells, which takes more than a hundred samples. Until then
+estimates are believed as far as they do not lean on a lag that is likely
 (:mod:`~gray_box_observer.fit_test.late_speed`). It goes into the covariance where estimates are
-made known.
+made known. Beside a speed in coarse steps, as an encoder's counts make it, nothing is believed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate
 from gray_box_observer.context_nodes.estimate import unsettled
 from gray_box_observer.fit_test.late_speed import likely_shift
 from gray_box_observer.observer.scale_doubt import with_doubt
+from gray_box_observer.samples.noise_floor import speed_step
+from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -24,6 +26,9 @@ FEWEST = 16
 
 MOST = 512
 """Newest samples that are looked at."""
+
+COARSE = 0.01
+"""Steps of a speed, as a share of its standard deviation, that are coarse."""
 
 
 class LagDoubt:
@@ -48,7 +53,7 @@ class LagDoubt:
         """
         if nodes.is_asked:
             return estimate
-        shift = self._likely_shift(nodes)
+        shift = self._likely_shift(nodes)  # NaN: nothing is believed
         if not np.isfinite(shift).all():
             return replace(estimate, verdicts=(tuple(map(unsettled, estimate.verdicts[0])),))
         off = shift * estimate.value[0, : shift.size]
@@ -63,7 +68,13 @@ class LagDoubt:
         self._theta = nodes.theta.copy()
         count = min(int(nodes.replay.remembered()[0]), MOST)
         self._shift = np.full(self._shift.size, np.nan)
-        if count >= FEWEST:
+        samples = nodes.replay.newest(count)
+        if count >= FEWEST and not _is_coarse(samples[SPEED, 0]):
             with np.errstate(all='ignore'):
-                self._shift = likely_shift(self._white_box, nodes.theta, nodes.replay.newest(count))
+                self._shift = likely_shift(self._white_box, nodes.theta, samples)
         return self._shift
+
+
+def _is_coarse(speed_rad_s: Array) -> bool:
+    """Tell whether a speed comes in coarse steps, shape (n,)."""
+    return speed_step(speed_rad_s) > COARSE * float(np.std(speed_rad_s))

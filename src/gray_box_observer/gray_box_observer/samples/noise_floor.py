@@ -43,9 +43,37 @@ signal without any."""
 RETURNS = 5.0
 """Changes of the reading for every level met that show few levels to be a grid all the same."""
 
+ROTOR_RETURNS = 2
+"""Changes of a speed beyond one for every level met, from which few levels are a grid."""
+
 _QUANTILES = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5)
 """Where among the sorted distances the step is looked for: readings off the grid bring distances
 below it."""
+
+
+def speed_step(speed_rad_s: Array) -> float:
+    """Read the step of one rotor's speed, of a few samples too.
+
+    A rotor has inertia: it does not jump from one speed to another and back to exactly the first
+    one. Where its readings do, they are steps, however seldom they change.
+
+    Args:
+        speed_rad_s: shape (n,): readings in the order of time.
+
+    Returns:
+        In rad/s; 0 where there is none to be seen.
+    """
+    step = float(quantisation_step(speed_rad_s[None])[0])
+    if step > 0.0:
+        return step
+    levels = distinct(speed_rad_s)
+    distances = np.diff(levels)
+    changes = int(np.count_nonzero(speed_rad_s[1:] != speed_rad_s[:-1]))
+    is_back = changes >= levels.size + ROTOR_RETURNS
+    if not 0 < distances.size < FEWEST_DISTANCES or not is_back:
+        return 0.0
+    least = float(distances.min())
+    return least if _is_grid(distances, least) else 0.0
 
 
 def quantisation_step(readings: Array) -> Array:

@@ -73,8 +73,8 @@ twice as many, and for twice as many again each time, up to RAREST. Nor is it as
 the search has taken, after the next failure for twice as long, and so on."""
 
 FEWEST_ASKED = 512
-"""Samples from which it is an answer, too, that the whole motor does not explain them: of fewer the
-next fit may explain more."""
+"""Samples from which it is an answer, too, that the whole motor does not explain them, or that the
+noise of their speed is not clearly noise: of fewer the next fit may tell more."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up; one, where it was
@@ -400,7 +400,7 @@ class MeasuredSpeedUpdate:
         place, samples = fit_window
         fit = self._outputs.output_fit
         count = samples.shape[1]
-        self._is_asked |= count >= FEWEST_ASKED or (fit is not None and fit.explains)
+        self._is_asked |= count >= FEWEST_ASKED or (fit is not None and fit.shows_exact_speed)
         if fit is None or not (fit.explains or self._comparison.is_nearly_late(fit)):
             self._failures += 1
             self.published_mechanics.note_failure()
@@ -434,6 +434,7 @@ class MeasuredSpeedUpdate:
         if not (self._is_noisy or is_late or is_likelier or has_noisy_voltage):
             return False
         self._has_noisy_voltage = has_noisy_voltage
+        self._is_asked = True
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         samples = as_of_motor(self._white_box, samples, fit)

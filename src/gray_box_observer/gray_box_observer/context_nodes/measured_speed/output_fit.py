@@ -40,7 +40,7 @@ from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window, search_from
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_NOISE as LEAST_CURRENT_NOISE
-from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.samples.noise_floor import STEP_TO_STD, speed_step
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -87,7 +87,7 @@ SEEN = 1.2
 HOPELESS = 4.0
 """The same from which another unit of the outputs will not help."""
 
-LEAD, LEAD_STDS = 0.1, 5.0
+LEAD, LEAD_STDS = 0.05, 5.0
 """Sample intervals, and standard deviations, by which the speed comes before the current where the
 sensor of the current lags: no speed is known before it is measured."""
 
@@ -123,6 +123,11 @@ class OutputNoise:
     def shows_noise(self) -> bool:
         """Whether the speed has more noise than is always believed."""
         return self.speed_rad_s > SEEN * self.least_rad_s
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether steps of the speed's readings are the least noise that is believed."""
+        return 0.0 < self.least_rad_s <= LESS_THAN_STEP * self.step_rad_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +237,11 @@ class OutputFit:
     def shows_noise(self) -> bool:
         """Whether the speed has more noise than is always believed."""
         return self.noise.shows_noise
+
+    @property
+    def shows_exact_speed(self) -> bool:
+        """Whether it explains both outputs by a speed without noise, and without coarse steps."""
+        return self.explains and not (self.shows_noise or self.noise.is_coarse)
 
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""
@@ -501,7 +511,7 @@ def _floor(window: Window) -> OutputNoise:
         LEAST_CURRENT_NOISE * window.spread_a,
         1e-12,
     )
-    step = float(quantisation_step(speed[None])[0]) * STEP_TO_STD
+    step = speed_step(speed) * STEP_TO_STD
     least = LEAST_NOISE * float(np.std(speed)) + 1e-12
     noise = pooled_difference_noise(speeds)
     return OutputNoise(current_a, max(noise, step, least), max(LESS_THAN_STEP * step, least), step)

@@ -12,6 +12,7 @@ import numpy as np
 from gray_box_observer.context_nodes.estimate import VerdictSettings
 from gray_box_observer.context_nodes.measured_speed.filter_fit import fit_lagging
 from gray_box_observer.context_nodes.measured_speed.output_fit import (
+    MOST_PLAIN_WORK,
     BestSoFar,
     FitBefore,
     OutputFit,
@@ -176,7 +177,11 @@ class OutputLearner(WindowLearner):
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
         before = FitBefore(self.theta, self.walk, self.unit_a_s, self.has_rivals, self.sensor)
         prior = self._prior()
-        fit = yield from fit_outputs_again(self._white_box, window, prior, before)
+        fit = None
+        if self.walk > 0.0 and self.memory is None:
+            fit = yield from self._without_walk(window, prior, before)
+        if fit is None:
+            fit = yield from fit_outputs_again(self._white_box, window, prior, before)
         if fit is not None and fit.current_lag_s < LESS_LAG * self.current_lag_s:
             before = replace(before, sensor=None)  # the filter may have been taken off
             plain = yield from fit_outputs_again(self._white_box, window, prior, before)
@@ -188,6 +193,18 @@ class OutputLearner(WindowLearner):
             late_fit = yield from self._behind_lag(window, prior, fit)
             fit = fit if late_fit is None else late_fit
         return self._noted(None if fit is None else fit.of_known_motor)
+
+    def _without_walk(
+        self, window: Window, prior: LogPrior, before: FitBefore
+    ) -> Pieces[OutputFit | None]:
+        """Fit a window with a constant load; None where that does not explain it.
+
+        A load that varies explains a few samples of any motor. Until there is a full window, more
+        samples may tell that it was constant.
+        """
+        search = fit_outputs_again(self._white_box, window, prior, replace(before, walk=0.0))
+        fit = yield from bounded(search, MOST_PLAIN_WORK)
+        return fit if fit is not None and fit.explains else None
 
     def _behind_lag(
         self, window: Window, prior: LogPrior, lead: OutputFit
