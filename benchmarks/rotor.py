@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common.cases import CASES, simulate
 from common.figures import Figure, figure_table, last_line, number, table
+from common.motion import FloatArray
 from common.rotor.choices import Choice, run_choice
 from common.rotor.fleet import run_fleet
 from common.rotor.records import NODES, Record, draw
@@ -25,6 +27,8 @@ from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
+from common.rotor.thesis_sets import NOISE as THESIS_NOISE
+from common.rotor.thesis_sets import ThesisTrial, run_thesis_set
 from common.trust.motors import fan_motor, gear_motor, sticky_motor, thesis_like_motor
 from real_motors import (
     DEAD_CURRENT_SENSOR,
@@ -58,6 +62,11 @@ SPEED_SENSORS = (
     (SpeedSensor('encoder of 500 counts', counts=500), 500.0),
     (SpeedSensor('speed 2 samples late', late=2), 1000.0),
 )
+ENCODER_COUNTS = (16, 32, 64, 128, 500, 2000)
+ENCODER_RATES_HZ = (100.0, 250.0, 500.0, 1000.0)
+ENCODER_SEEDS, FIRST_ENCODER_SEED, ENCODER_SAMPLES = 10, 60, 6000
+"""Encoders, rates, motors of each and the samples of one. Motors 40 to 49 chose the thresholds."""
+
 FLEET, FLEET_HZ = 1000, 100.0
 """Motors, and samples a second of each, that the cost of many is reckoned for."""
 
@@ -80,6 +89,9 @@ def main() -> int:
         '--speed', action='store_true', help='only motors whose speed is measured, badly'
     )
     parser.add_argument(
+        '--encoders', action='store_true', help='only encoders of few and many counts'
+    )
+    parser.add_argument(
         '--mechanics', action='store_true', help='only inertia and frictions from a measured speed'
     )
     parser.add_argument(
@@ -91,6 +103,9 @@ def main() -> int:
         '--fleet', action='store_true', help='only many motors in the same messages'
     )
     parser.add_argument(
+        '--thesis', action='store_true', help="only the thesis's sets, whose speed is Kt i"
+    )
+    parser.add_argument(
         '--predict', action='store_true', help='only the prediction of robots never seen'
     )
     parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
@@ -98,31 +113,22 @@ def main() -> int:
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     length_s = QUICK_S if options.quick else LONG_S
     counts = not options.quick
-    if options.speed:
-        figures = speed_figures(seeds, length_s, counts=counts)
-        print(f'\n{figure_table(figures)}')
-        print(last_line('rotor', seeds, figures))
-        return 0
-    if options.mechanics:
-        figures = mechanical_figures(seeds, length_s, counts=counts)
-        print(f'\n{figure_table(figures)}')
-        print(last_line('rotor', seeds, figures))
-        return 0
-    if options.peers:
-        figures = peer_figures(seeds, length_s, counts=counts)
-        print(f'\n{figure_table(figures)}')
-        print(last_line('rotor', seeds, figures))
-        return 0
-    if options.fleet:
-        figures = fleet_figures(counts=counts)
-        print(f'\n{figure_table(figures)}')
-        print(last_line('rotor', FLEET_DRAWN, figures))
-        return 0
-    if options.predict:
-        figures = prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
-        print(f'\n{figure_table(figures)}')
-        print(last_line('rotor', 1, figures))
-        return 0
+    parts: dict[str, Callable[[], list[Figure]]] = {
+        'speed': lambda: speed_figures(seeds, length_s, counts=counts),
+        'encoders': lambda: encoder_figures(options.seeds or ENCODER_SEEDS, counts=counts),
+        'mechanics': lambda: mechanical_figures(seeds, length_s, counts=counts),
+        'peers': lambda: peer_figures(seeds, length_s, counts=counts),
+        'fleet': lambda: fleet_figures(counts=counts),
+        'thesis': lambda: thesis_figures(seeds, counts=counts),
+        'predict': lambda: prediction_figures(options.data or DEFAULT_DATA, quick=options.quick),
+    }
+    drawn = {'encoders': options.seeds or ENCODER_SEEDS, 'fleet': FLEET_DRAWN, 'predict': 1}
+    for part, run_part in parts.items():
+        if getattr(options, part):
+            figures = run_part()
+            print(f'\n{figure_table(figures)}')
+            print(last_line('rotor', drawn.get(part, seeds), figures))
+            return 0
     figures = [
         *fast_figures(seeds, length_s, counts=counts),
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
@@ -130,6 +136,7 @@ def main() -> int:
         *fleet_figures(counts=counts),
         *sticky_figures(seeds, length_s, counts=counts),
         *choice_figures(seeds, length_s, counts=counts),
+        *thesis_figures(seeds, counts=counts),
         *peer_figures(seeds, length_s, counts=counts),
     ]
     try:
@@ -279,6 +286,44 @@ def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
     ]
 
 
+def thesis_figures(seeds: int, *, counts: bool) -> list[Figure]:
+    """Let ``auto`` choose on the thesis's sets, beside an observer that is told their form."""
+    rows = []
+    figures = []
+    for case in [case for case in CASES if case.core]:
+        clean = simulate(case, range(seeds))
+        records = [clean.record(seed, THESIS_NOISE) for seed in range(seeds)]
+        free, told = (
+            [run_thesis_set(record, source) for record in records]
+            for source in ('auto', 'torque_constant')
+        )
+        ratio = float(np.max(_rms_over_bound(free) / _rms_over_bound(told)))
+        times_s = [float(np.mean([trial.known_s for trial in runs])) for runs in (free, told)]
+        for source, runs, time_s in zip(('auto', 'told'), (free, told), times_s, strict=True):
+            over = ', '.join(number(float(value)) for value in _rms_over_bound(runs))
+            false = f'{sum(t.false for t in runs)}/{sum(t.claims for t in runs)}'
+            rows.append([f'{case.name}, {source}', over, f'{time_s:.2f}', false])
+        other = float(np.mean([trial.source != 'torque_constant' for trial in free]))
+        figures += [
+            Figure(f'{case.name}: another form chosen, share', other, 0.01, counts),
+            Figure(f'{case.name}: RMSE over that of the form told', ratio, 1.05, counts),
+            Figure(
+                f'{case.name}: seconds until known over those',
+                times_s[0] / times_s[1],
+                1.05,
+                counts,
+            ),
+        ]
+    print(f'\n{table(["thesis set", "L, R, K_HS over the bound", "known at s", "false"], rows)}')
+    return figures
+
+
+def _rms_over_bound(trials: Sequence[ThesisTrial]) -> FloatArray:
+    """Return root mean squares of the errors over the bound, shape (parameter,)."""
+    squares = np.array([trial.over_bound for trial in trials]) ** 2
+    return np.asarray(np.sqrt(squares.mean(axis=0)))
+
+
 def share_of(choices: Sequence[Choice], source: str) -> float:
     """Return how many motors end with a source of their speed, as a share."""
     return float(np.mean([choice.source == source for choice in choices]))
@@ -320,6 +365,35 @@ def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
             Figure(f'{name}: misfit, share', _share_misfit(trials), 0.0, counts),
         ]
     return figures
+
+
+def encoder_figures(seeds: int, *, counts: bool) -> list[Figure]:
+    """Run gear motors with encoders of few and many counts: is anything believed that is wrong?"""
+    rates_hz = ENCODER_RATES_HZ if counts else ENCODER_RATES_HZ[:1]
+    rows = []
+    all_trials = []
+    for count in ENCODER_COUNTS:
+        sensor = SpeedSensor(f'encoder of {count} counts', counts=count)
+        for rate_hz in rates_hz:
+            trials = [
+                run_trial(draw_with_speed(sensor, seed, rate_hz, ENCODER_SAMPLES / rate_hz))
+                for seed in range(FIRST_ENCODER_SEED, FIRST_ENCODER_SEED + seeds)
+            ]
+            over = over_bound(trials)
+            all_trials += trials
+            rows.append(
+                [
+                    f'{sensor.name}, {rate_hz:g} Hz',
+                    *(number(float(value)) for value in over),
+                    number(_share_misfit(trials)),
+                    f'{sum(t.false for t in trials)}/{sum(t.claims for t in trials)}',
+                ]
+            )
+    print(f'\n{table(["encoder", "L over the bound", "R", "misfit", "false"], rows)}')
+    return [
+        Figure('encoders: false of all identified', share_false(all_trials), 0.02, counts),
+        Figure('encoders: misfit, share', _share_misfit(all_trials), None),
+    ]
 
 
 def mechanical_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
