@@ -94,6 +94,10 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
+FEWEST_TOLD, UNTOLD_INTERVALS = 1024, 0.4
+"""Samples below which so many sample intervals of L/R may be a delay of the voltage: it looks like
+as much inductance, and of few moves nothing else shows."""
+
 SHORT = (0.8, 1.0)
 """The same of a rotor whose speed nobody measures, as far as the inductance goes: a current that is
 the mean of its interval, or smoothed, looks like one of a larger inductance. Half an interval
@@ -339,15 +343,29 @@ def _driver_doubts(
     ]
     smoothed_share = 1.0 if analysis.has_colour else _share_below(SMOOTHED, analysis.intervals)
     amounts += [(smoothed_share, row) for row in analysis.smoothing_shifts]
-    of_inductance = np.zeros_like(stamps.delay.shift)
-    of_inductance[INDUCTANCE] = stamps.delay.shift[INDUCTANCE]
-    open_share = _share_below(SHORT if speed_is_hidden else SHORTEST, analysis.intervals)
-    amounts.append((open_share * UNIFORM_STD, of_inductance))
+    amounts.append(_inductance_doubt(analysis, speed_is_hidden=speed_is_hidden))
     likely_std = _share_below(SHORTEST, analysis.intervals) * UNIFORM_STD
     if likely_std > 0.0:
         size = INSTANT_SAFETY * stamps.instant.amount.likely(likely_std).size
         amounts.append((min(size, likely_std), stamps.instant.shift))
     return amounts
+
+
+def _inductance_doubt(analysis: ResidualAnalysis, *, speed_is_hidden: bool) -> tuple[float, Array]:
+    """Return how uncertain the instant of a move is, and how one interval of it moves L alone.
+
+    That is at least what the delay takes of L/R. A window without a move, or of one, tells less.
+    """
+    shift = abs(float(analysis.stamps.delay.shift[INDUCTANCE]))
+    limits = SHORT
+    intervals = analysis.intervals
+    if not speed_is_hidden:
+        limits = SHORTEST
+        shift = max(shift, 1.0 / max(intervals, UNTOLD_INTERVALS))
+        intervals -= UNTOLD_INTERVALS if analysis.samples < FEWEST_TOLD else 0.0
+    of_inductance = np.zeros_like(analysis.stamps.delay.shift)
+    of_inductance[INDUCTANCE] = shift
+    return _share_below(limits, intervals) * UNIFORM_STD, of_inductance
 
 
 def _doubted_amount(error: StampError, *, is_mature: bool) -> float:
