@@ -210,7 +210,7 @@ def test_where_l_over_r_is_short_r_is_open_as_far_as_the_instant_of_a_step_is(
 
 
 @pytest.mark.parametrize(('samples', 'intervals', 'is_open'), [
-    (500, 1.0, True), (500, 1.3, False), (2000, 1.0, False), (2000, 0.6, True),
+    (400, 1.0, True), (400, 1.3, False), (600, 1.0, False), (600, 0.6, True),
 ])  # fmt: skip
 def test_of_few_samples_a_part_of_l_over_r_may_be_a_delay(
     samples: int, intervals: float, *, is_open: bool

@@ -94,7 +94,7 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
-FEWEST_TOLD, UNTOLD_INTERVALS = 1024, 0.4
+FEWEST_TOLD, UNTOLD_INTERVALS = 512, 0.4
 """Samples below which so many sample intervals of L/R may be a delay of the voltage: it looks like
 as much inductance, and of few moves nothing else shows."""
 
