@@ -94,9 +94,12 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
-FEWEST_TOLD, UNTOLD_INTERVALS = 512, 0.4
-"""Samples below which so many sample intervals of L/R may be a delay of the voltage: it looks like
-as much inductance, and of few moves nothing else shows."""
+FEWEST_TOLD = 512
+"""Samples of a test from which they tell a delay of the voltage from an inductance."""
+
+UNTOLD_INTERVALS = 0.4
+"""Sample intervals of L/R that may be a delay before that: it looks like as much inductance, and of
+few moves nothing else shows."""
 
 SHORT = (0.8, 1.0)
 """The same of a rotor whose speed nobody measures, as far as the inductance goes: a current that is
