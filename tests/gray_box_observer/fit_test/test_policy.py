@@ -222,3 +222,14 @@ def test_of_few_samples_a_part_of_l_over_r_may_be_a_delay(
     assert spread[0, 0] == pytest.approx((UNIFORM_STD / intervals) ** 2 if is_open else 0.0)
     exact = judge(found, STD, samples, speed_measured=True, stamps_exact=True).spread
     assert not exact.any()
+
+
+@pytest.mark.parametrize('mean', [0.02, 0.13])
+def test_an_instant_that_shows_as_late_counts_whatever_l_over_r_is(mean: float) -> None:
+    """Of a voltage 0.3 intervals late the readings told 0.13, and R was 3 % too small, and sure."""
+    instant = StampError(np.array([-0.6, 0.1]), Amount(mean, 5e-3))
+    found = analysis(stamps=StampErrors(NO_ERROR, NO_ERROR, instant), intervals=2.0)
+    limit = judge(found, STD, SAMPLES, speed_measured=True, stamps_exact=False)
+    is_shown = mean > STAMP_STDS * 5e-3
+    expected = 0.1 * min(3.0 * mean, UNIFORM_STD) if is_shown else 0.0
+    assert math.sqrt(limit.spread[1, 1]) == pytest.approx(expected, rel=0.02)

@@ -347,7 +347,8 @@ def _driver_doubts(
     smoothed_share = 1.0 if analysis.has_colour else _share_below(SMOOTHED, analysis.intervals)
     amounts += [(smoothed_share, row) for row in analysis.smoothing_shifts]
     amounts.append(_inductance_doubt(analysis, speed_is_hidden=speed_is_hidden))
-    likely_std = _share_below(SHORTEST, analysis.intervals) * UNIFORM_STD
+    short_share = _share_below(SHORTEST, analysis.intervals)
+    likely_std = (1.0 if stamps.instant.is_shown else short_share) * UNIFORM_STD
     if likely_std > 0.0:
         size = INSTANT_SAFETY * stamps.instant.amount.likely(likely_std).size
         amounts.append((min(size, likely_std), stamps.instant.shift))
