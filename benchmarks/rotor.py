@@ -113,16 +113,16 @@ def main() -> int:
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     length_s = QUICK_S if options.quick else LONG_S
     counts = not options.quick
+    drawn = {'encoders': options.seeds or ENCODER_SEEDS, 'fleet': FLEET_DRAWN, 'predict': 1}
     parts: dict[str, Callable[[], list[Figure]]] = {
         'speed': lambda: speed_figures(seeds, length_s, counts=counts),
-        'encoders': lambda: encoder_figures(options.seeds or ENCODER_SEEDS, counts=counts),
+        'encoders': lambda: encoder_figures(drawn['encoders'], counts=counts),
         'mechanics': lambda: mechanical_figures(seeds, length_s, counts=counts),
         'peers': lambda: peer_figures(seeds, length_s, counts=counts),
         'fleet': lambda: fleet_figures(counts=counts),
         'thesis': lambda: thesis_figures(seeds, counts=counts),
         'predict': lambda: prediction_figures(options.data or DEFAULT_DATA, quick=options.quick),
     }
-    drawn = {'encoders': options.seeds or ENCODER_SEEDS, 'fleet': FLEET_DRAWN, 'predict': 1}
     for part, run_part in parts.items():
         if getattr(options, part):
             figures = run_part()
@@ -301,8 +301,7 @@ def thesis_figures(seeds: int, *, counts: bool) -> list[Figure]:
         times_s = [float(np.mean([trial.known_s for trial in runs])) for runs in (free, told)]
         for source, runs, time_s in zip(('auto', 'told'), (free, told), times_s, strict=True):
             over = ', '.join(number(float(value)) for value in _rms_over_bound(runs))
-            false = f'{sum(t.false for t in runs)}/{sum(t.claims for t in runs)}'
-            rows.append([f'{case.name}, {source}', over, f'{time_s:.2f}', false])
+            rows.append([f'{case.name}, {source}', over, f'{time_s:.2f}', false_of_claims(runs)])
         other = float(np.mean([trial.source != 'torque_constant' for trial in free]))
         figures += [
             Figure(f'{case.name}: another form chosen, share', other, 0.01, counts),
@@ -386,7 +385,7 @@ def encoder_figures(seeds: int, *, counts: bool) -> list[Figure]:
                     f'{sensor.name}, {rate_hz:g} Hz',
                     *(number(float(value)) for value in over),
                     number(_share_misfit(trials)),
-                    f'{sum(t.false for t in trials)}/{sum(t.claims for t in trials)}',
+                    false_of_claims(trials),
                 ]
             )
     print(f'\n{table(["encoder", "L over the bound", "R", "misfit", "false"], rows)}')
@@ -566,6 +565,11 @@ def over_bound(trials: Sequence[Trial]) -> np.ndarray:
 def share_false(trials: Sequence[Trial | Choice]) -> float:
     """Return how much of what was ever called identified was false."""
     return sum(trial.false for trial in trials) / max(1, sum(trial.claims for trial in trials))
+
+
+def false_of_claims(trials: Sequence[Trial | ThesisTrial]) -> str:
+    """Return how many claims were false, of how many, for a table."""
+    return f'{sum(trial.false for trial in trials)}/{sum(trial.claims for trial in trials)}'
 
 
 def show(title: str, trials: Sequence[Trial], nodes: Sequence[str] = NODES) -> None:

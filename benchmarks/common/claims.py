@@ -9,6 +9,7 @@ import numpy as np
 from common.motion import FloatArray
 from common.rotor.runs import FALSE_SHARE, FALSE_STDS
 from common.trust.motors import Motor
+from dc_motor_sim.plant import PlantParameters
 from gray_box_observer.context_nodes import Estimate, Verdict
 
 JUDGED = ('inductance', 'resistance')
@@ -17,7 +18,9 @@ JUDGED = ('inductance', 'resistance')
 Counts = np.ndarray[tuple[int], np.dtype[np.int_]]
 
 
-def claims(estimate: Estimate, motor: Motor, nodes: Sequence[str] = JUDGED) -> Counts:
+def claims(
+    estimate: Estimate, motor: Motor | PlantParameters, nodes: Sequence[str] = JUDGED
+) -> Counts:
     """Return how many parameters are identified, and how many of them are false.
 
     Args:

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rotor
+from common.cases import CASES, simulate
 from common.rotor.records import NODES, draw
 from common.rotor.runs import run_trial
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
+from common.rotor.thesis_sets import run_thesis_set
 from common.trust.motors import gear_motor
 
 from gray_box_observer.context_nodes.pieces import completed
@@ -115,3 +117,12 @@ def test_a_search_that_stops_before_a_kink_goes_on_beyond_it() -> None:
     assert from_aside is not None
     assert from_truth is not None
     assert from_aside.noise_a < 1.001 * from_truth.noise_a
+
+
+@pytest.mark.slow
+def test_a_parameter_that_another_form_does_not_have_has_no_error() -> None:
+    record = simulate(CASES[0], [0], 6.0).record(0, 0.01)
+    trial = run_thesis_set(record, 'rotor')
+    assert trial.source == 'rotor'
+    assert np.isnan(trial.over_bound[CASES[0].parameters.index('hysteresis')])
+    assert np.isfinite(run_thesis_set(record, 'torque_constant').over_bound).all()

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.cases import Case, Record
+from common.cases import Record
+from common.claims import claims
 from common.cramer_rao import bound
 from common.motion import FloatArray
-from common.rotor.runs import FALSE_SHARE, FALSE_STDS, MOTOR
-from gray_box_observer.context_nodes import Estimate, Verdict
+from common.rotor.runs import MOTOR
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
@@ -26,7 +26,8 @@ class ThesisTrial:
 
     Attributes:
         source: where the speed comes from at the end.
-        over_bound: shape (parameter,): errors at the end, in standard deviations of the bound.
+        over_bound: shape (parameter,): errors at the end, in standard deviations of the bound; NaN
+            of what another form does not have.
         known_s: when all parameters were known for the first time; infinite where they never were.
         claims, false: identified parameters over all estimates, and those of them that were false.
     """
@@ -54,8 +55,7 @@ def run_thesis_set(record: Record, source: str) -> ThesisTrial:
     parameters = {f'{MOTOR}.{name}': value for name, value in constants.items()}
     observer = Observer(Configuration.from_flat(parameters), None)
     known_s = math.inf
-    claims = 0
-    false = 0
+    claim_counts = np.zeros(2, dtype=int)
     rows = zip(
         record.stamp_ns.tolist(), record.voltage_v.tolist(), record.torque_nm.tolist(), strict=True
     )
@@ -64,28 +64,17 @@ def run_thesis_set(record: Record, source: str) -> ThesisTrial:
         for result in observer.torque(MOTOR, stamp_ns, torque_nm):
             if result.estimate is None:
                 continue
-            claimed, wrong = _claims(result.estimate, case)
-            claims += claimed
-            false += wrong
+            names = [parameter.name for parameter in result.estimate.parameters]
+            claim_counts += claims(result.estimate, case.plant, names)
             if set(result.estimate.verdicts[0]) <= set(COUNTS_AS_KNOWN):
                 known_s = min(known_s, (stamp_ns - int(record.stamp_ns[0])) * 1e-9)
     observer.finish()
     last = observer.estimates()[MOTOR]
     values = dict(zip((p.name for p in last.parameters), last.value[0].tolist(), strict=True))
-    found = np.array([values[name] for name in case.parameters])
+    found = np.array([values.get(name, math.nan) for name in case.parameters])
     return ThesisTrial(
         observer.motors[MOTOR].white_box.speed_source,
         (found / case.truth - 1.0) / bound(record),
         known_s,
-        claims,
-        false,
+        *claim_counts.tolist(),
     )
-
-
-def _claims(estimate: Estimate, case: Case) -> tuple[int, int]:
-    """Count what an estimate calls identified, and what of that is false."""
-    is_claimed = np.array([verdict is Verdict.IDENTIFIED for verdict in estimate.verdicts[0]])
-    truth = np.array([getattr(case.plant, p.name) for p in estimate.parameters])
-    off = np.abs(estimate.value[0] - truth)
-    is_wrong = (off > FALSE_STDS * estimate.std[0]) & (off > FALSE_SHARE * truth)
-    return int(is_claimed.sum()), int((is_claimed & is_wrong).sum())

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import interval_means
@@ -42,8 +41,8 @@ LIKELY, FEWEST_LIKELY = 1.0, 24
 which the shaft turns from which they tell more."""
 
 FARTHEST = 1.0
-"""Shift of a log-parameter that none takes: L cannot fall below zero. The other parameters take
-what it does not."""
+"""Shift of a log-parameter beyond which it is held: L cannot fall below zero. The other parameters
+then take all of the response."""
 
 EXPONENTIAL = 1e-3
 """Time constants L/R in an interval below which a current is a straight line in it."""
@@ -83,25 +82,12 @@ def likely_shift(white_box: MotorWhiteBox, theta: Array, content: Array) -> Arra
     response_a = _response(white_box, theta[0], run, lag.likely(LIKELY).size)
     shift = projection.shift(projection.with_weight(response_a))
     is_held = np.zeros(shift.size, dtype=bool)
-    while True:
-        free_shift = np.where(is_held, 0.0, np.abs(shift))
-        farthest = int(np.argmax(free_shift))
-        if not free_shift[farthest] > FARTHEST:
-            return shift
-        is_held[farthest] = True
-        if is_held.all():
-            return shift
-        shift[~is_held] = _shift_beside(run, response_a, is_held)
-
-
-def _shift_beside(run: FreeRun, response_a: Array, is_held: NDArray[np.bool_]) -> Array:
-    """Return what a response does to the log-parameters that are not held, shape (free,)."""
     by_coordinate = run.jacobian[:, 1:]
     by_parameter = np.column_stack([-by_coordinate.sum(axis=1), by_coordinate[:, 1:]])
-    columns = np.column_stack([run.jacobian[:, :1], by_parameter[:, ~is_held]])
-    root = np.sqrt(run.weight)
-    solution = np.linalg.lstsq(columns * root[:, None], response_a * root, rcond=1e-12)[0]
-    return np.asarray(solution[1:], dtype=float)
+    while np.max(np.abs(shift[~is_held]), initial=0.0) > FARTHEST:
+        is_held[np.argmax(np.where(is_held, 0.0, np.abs(shift)))] = True
+        shift[~is_held], _ = run.explain(response_a, by_parameter[:, ~is_held])
+    return shift
 
 
 def _response(white_box: MotorWhiteBox, theta: Array, run: FreeRun, lag: float) -> Array:

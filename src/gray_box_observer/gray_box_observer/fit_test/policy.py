@@ -94,13 +94,6 @@ SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
 
-FEWEST_TOLD = 512
-"""Samples of a test from which they tell a delay of the voltage from an inductance."""
-
-UNTOLD_INTERVALS = 0.4
-"""Sample intervals of L/R that may be a delay before that: it looks like as much inductance, and of
-few moves nothing else shows."""
-
 SHORT = (0.8, 1.0)
 """The same of a rotor whose speed nobody measures, as far as the inductance goes: a current that is
 the mean of its interval, or smoothed, looks like one of a larger inductance. Half an interval
@@ -108,6 +101,13 @@ contains it."""
 
 SMOOTHED = (1.0, SMOOTHEST)
 """The same as which a current that a driver averages may look."""
+
+FEWEST_TOLD = 512
+"""Samples of a test that tell a delay of the voltage from an inductance."""
+
+UNTOLD_INTERVALS = 0.4
+"""Sample intervals of L/R that may be a delay before that: it looks like as much inductance, and of
+few moves nothing else shows."""
 
 UNTOLD_DELAY = 0.05
 """Standard deviation of a delay, in sample intervals, from which the data need not show half an
@@ -358,7 +358,8 @@ def _driver_doubts(
 def _inductance_doubt(analysis: ResidualAnalysis, *, speed_is_hidden: bool) -> tuple[float, Array]:
     """Return how uncertain the instant of a move is, and how one interval of it moves L alone.
 
-    That is at least what the delay takes of L/R. A window without a move, or of one, tells less.
+    That is at least what the delay takes of L/R: of a window in which the voltage has hardly moved,
+    the shift is too small.
     """
     shift = abs(float(analysis.stamps.delay.shift[INDUCTANCE]))
     limits = SHORT
