@@ -325,7 +325,7 @@ def fit_outputs(
             return walk_fit
     linear = speed_start(white_box, window, starts[0])
     plain = None
-    if floor.shows_noise and not floor.step_rad_s:  # late alone, or counted, it leads astray
+    if floor.shows_noise:  # late alone it leads astray
         plain = speed_start(white_box, window, starts[0], load_varies=False)
     steady = None
     if plain is not None:
@@ -333,7 +333,7 @@ def fit_outputs(
             white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead, best=best
         )
         steady = yield from bounded(search, MOST_PLAIN_WORK)
-    if steady is None or not steady.is_within(CLOSE):
+    if steady is None or floor.step_rad_s or not steady.is_within(CLOSE):
         every_start = [*starts] if linear is None else [*starts, linear]
         other = yield from _settled(
             white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead, best=best
