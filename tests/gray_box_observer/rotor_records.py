@@ -40,10 +40,12 @@ def recorded(
     return simulation.record(duration_s)
 
 
-def driven(plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3) -> Recording:
-    """Record a motor under a given voltage at 1 kHz, with 1 % noise."""
+def driven(
+    plant: PlantParameters, voltage_v: NDArray[np.float64], seed: int = 3, noise_nm: float = 3e-4
+) -> Recording:
+    """Record a motor under a given voltage at 1 kHz, with 1 % noise of a lively torque."""
     simulation = Simulation(
-        {'motor': plant}, 'external', seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
+        {'motor': plant}, 'external', seed=seed, sample_rate_hz=1000.0, torque_noise_std=noise_nm,
         speed_mode='rotor',
     )  # fmt: skip
     samples = []

@@ -24,7 +24,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.measured_speed import output_update
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
-from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.measured_speed.speed_start import noisy_speed_start, speed_start
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns
@@ -712,3 +712,70 @@ def test_where_a_fit_of_all_samples_takes_too_long_the_newest_count(
     assert update.is_noisy
     assert update.replay.stored(0) == 1024
     assert np.abs(update.theta[0] / TRUTH - 1.0).max() < 0.05
+
+
+STICKY = PlantParameters(
+    inductance=0.011, resistance=5.8, hysteresis=0.0, torque_constant=0.013,
+    back_emf_constant=0.013, inertia=2.1e-6, viscous_friction=6.6e-7, coulomb_friction=1.4e-3,
+)  # fmt: skip
+STICKY_NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+
+
+def sticky_content(samples: int, counts: int) -> np.ndarray:
+    """Samples of a shaft that begins to turn under 8 V of a slow sine, counted by an encoder."""
+    simulation = Simulation(
+        {'motor': STICKY}, 'external', seed=8, sample_rate_hz=1000.0, torque_noise_std=1.3e-5,
+        speed_mode='rotor',
+    )  # fmt: skip
+    taken = []
+    for k in range(samples):
+        simulation.command('motor', 8.0 * np.sin(2.0 * np.pi * 0.4e-3 * k))
+        taken.append(simulation.step())
+    volts, torque, speed = (
+        np.array([getattr(one, name)[0] for one in taken])
+        for name in ('voltage_v', 'torque_nm', 'speed_rad_s')
+    )
+    unit_rad = 2.0 * np.pi / counts
+    turned_rad = np.concatenate([[0.0], np.cumsum(0.5e-3 * (speed[1:] + speed[:-1]))])
+    count = np.floor(0.3 + turned_rad / unit_rad)
+    read_rad_s = np.diff(count, prepend=count[0]) * unit_rad / 1e-3
+    interval_s = np.full(samples, 1e-3)
+    interval_s[0] = 0.0
+    before_v = np.concatenate([[0.0], volts[:-1]])
+    return np.stack([interval_s, before_v, torque, read_rad_s])[:, None]
+
+
+@pytest.mark.parametrize('counts', [64, 500])
+@pytest.mark.parametrize('samples', [160, 250])
+def test_a_shaft_that_begins_to_turn_is_found_by_the_counts_of_its_encoder(
+    counts: int, samples: int
+) -> None:
+    """Another end has a rotor that turns too early, its speed 20 intervals late, R 20 % smaller."""
+    box = MotorWhiteBox(
+        STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
+    )
+    update = output_update.OutputUpdate(box, np.array([[1.5, 3.0, 1e-4, 1e-4, 1e-3]]))
+    update.begin_with(sticky_content(samples, counts), 1_000_000 * samples)
+    update.begin_fit()
+    update.complete()
+    assert update.output_fit is not None
+    found = box.values(update.output_fit.fit.theta)
+    assert found['resistance'] == pytest.approx(STICKY.resistance, rel=0.03)
+    assert found['coulomb_friction'] == pytest.approx(STICKY.coulomb_friction, rel=0.1)
+
+
+def test_a_start_of_a_noisy_speed_has_the_inertia_that_its_noise_would_hide() -> None:
+    box = MotorWhiteBox(
+        STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
+    )
+    window = Window.from_samples(
+        box, sticky_content(250, 500)[:, 0], Unknowns(SpeedOutput(1.0))
+    )
+    other = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
+    start = noisy_speed_start(box, window, other, 3.6)
+    plain = speed_start(box, window, other)
+    assert start is not None
+    assert plain is not None
+    assert start[2] == pytest.approx(STICKY.inertia, rel=0.3)
+    assert start[4] == pytest.approx(STICKY.coulomb_friction, rel=0.3)
+    assert plain[2] < 0.3 * STICKY.inertia

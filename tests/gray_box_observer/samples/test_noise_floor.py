@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from gray_box_observer.samples.noise_floor import quantisation_step, speed_step
+from gray_box_observer.samples.noise_floor import quantisation_step, reading_step, speed_step
 
 
 def _current(samples: int, noise: float, seed: int) -> np.ndarray:
@@ -77,3 +79,15 @@ def test_a_continuous_speed_has_no_step_even_where_it_rests(noise: float) -> Non
     speed = _current(400, noise, 3)
     assert speed_step(speed) == 0.0
     assert speed_step(np.where(speed < 5.0, 0.0, speed - 5.0)) == 0.0
+
+
+def test_a_reading_moves_by_a_step_or_by_what_passes_between_two_readings() -> None:
+    speed = _current(400, 0.01, 3)
+    assert reading_step(speed) == 0.0
+    counted = 49.0 * np.repeat([0.0, 1.0, 0.0, 1.0, 2.0, 1.0], 20)
+    assert reading_step(counted) == pytest.approx(49.0)
+    assert reading_step(counted[:40]) == pytest.approx(49.0)  # it has moved once
+    assert reading_step(0.5 * np.round(_current(4096, 1.0, 3) / 0.5)) == pytest.approx(0.5)
+    seldom = np.repeat(speed, 10)
+    assert reading_step(seldom) == pytest.approx(np.median(np.abs(np.diff(speed))))
+    assert math.isnan(reading_step(np.full(50, 49.0)))

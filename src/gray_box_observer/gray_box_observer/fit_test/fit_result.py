@@ -42,6 +42,8 @@ class FitResult:
         present_since: place in its stream from which the motor had been the present one.
         speed_is_fitted: whether the speed in its samples was that of a fit of the whole motor, and
             not the measured one.
+        doubts_speed: whether the judgement holds what may be wrong of a measured speed that is
+            taken for exact.
     """
 
     assessment: FitAssessment
@@ -58,6 +60,7 @@ class FitResult:
     delay_s: float = 0.0
     present_since: int = 0
     speed_is_fitted: bool = False
+    doubts_speed: bool = False
 
     @property
     def is_lasting_misfit(self) -> bool:
@@ -96,6 +99,7 @@ class FitResult:
             'delay_s': self.delay_s,
             'present_since': self.present_since - received_count,
             'speed_is_fitted': self.speed_is_fitted,
+            'doubts_speed': self.doubts_speed,
         }
 
     @classmethod
@@ -117,4 +121,5 @@ class FitResult:
             plain.get('delay_s', 0.0),  # likewise
             plain.get('present_since', plain['begin']) + received_count,
             plain.get('speed_is_fitted', False),
+            plain.get('doubts_speed', False),
         )

@@ -12,17 +12,14 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import interval_means
-from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import (
     UNKNOWN,
     Amount,
     Doubt,
-    Projection,
     long_run_covariance,
 )
-from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -35,14 +32,6 @@ UNEXPLAINED = 0.05
 
 FEWEST = 50
 """Intervals in which the shaft turns, from which they tell something."""
-
-LIKELY, FEWEST_LIKELY = 1.0, 24
-"""Standard deviation in sample intervals of a lag before anything is known of it, and intervals in
-which the shaft turns from which they tell more."""
-
-FARTHEST = 1.0
-"""Shift of a log-parameter beyond which it is held: L cannot fall below zero. The other parameters
-then take all of the response."""
 
 EXPONENTIAL = 1e-3
 """Time constants L/R in an interval below which a current is a straight line in it."""
@@ -63,34 +52,10 @@ def late_speed_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[D
     if not lag.mean > SHOWN_STDS * lag.std:
         return []
     size = math.hypot(lag.size, UNEXPLAINED)
-    return [Doubt(_response(white_box, theta, run, size))]
+    return [Doubt(response_to_lag(white_box, theta, run, size))]
 
 
-def likely_shift(white_box: MotorWhiteBox, theta: Array, content: Array) -> Array:
-    """Return by how much a likely lag moves the logarithms of the parameters, shape (parameter,).
-
-    Args:
-        white_box: of one motor whose speed is measured.
-        theta: shape (1, parameter): its present values.
-        content: shape (signal, 1, n): samples, as a replay buffer gives them.
-    """
-    run = free_run(white_box, to_coordinates(theta), SampleWindow.of_content(white_box, content))
-    projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
-    lag = lag_of_speed(run, FEWEST_LIKELY)
-    if lag.mean < -UNEXPLAINED:  # no speed comes early: a transient or two tell nothing
-        lag = UNKNOWN
-    response_a = _response(white_box, theta[0], run, lag.likely(LIKELY).size)
-    shift = projection.shift(projection.with_weight(response_a))
-    is_held = np.zeros(shift.size, dtype=bool)
-    by_coordinate = run.jacobian[:, 1:]
-    by_parameter = np.column_stack([-by_coordinate.sum(axis=1), by_coordinate[:, 1:]])
-    while np.max(np.abs(shift[~is_held]), initial=0.0) > FARTHEST:
-        is_held[np.argmax(np.where(is_held, 0.0, np.abs(shift)))] = True
-        shift[~is_held], _ = run.explain(response_a, by_parameter[:, ~is_held])
-    return shift
-
-
-def _response(white_box: MotorWhiteBox, theta: Array, run: FreeRun, lag: float) -> Array:
+def response_to_lag(white_box: MotorWhiteBox, theta: Array, run: FreeRun, lag: float) -> Array:
     """Return how the current answers a lag of the speed in sample intervals, shape (k + 1,)."""
     change = np.where(run.is_whole, np.diff(run.stretch.speed_rad_s[0]), 0.0)
     back_emf_v = white_box.values(theta)['back_emf_constant'] * lag * change

@@ -76,6 +76,11 @@ class FitMonitor:
         """Return what is known of the fit of one motor."""
         return self._assessments[motor]
 
+    def doubts_speed(self, motor: int) -> bool:
+        """Tell whether the newest test of one motor has doubted a speed that is taken for exact."""
+        result = self._results[motor]
+        return result is not None and result.doubts_speed
+
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
     ) -> None:

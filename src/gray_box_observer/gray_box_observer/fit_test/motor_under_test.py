@@ -41,6 +41,8 @@ class MotorUnderTest:
         remembered_count: those of them that are learnt from.
         measured_rad_s: shape (n,): readings of the speed, where the samples hold that of the whole
             motor; else None.
+        speed_is_exact: whether its measured speed is taken for exact, and what is wrong of it is
+            doubted by tests alone (:mod:`~gray_box_observer.observer.speed_doubt`).
         is_lagging: whether a lag of the current sensor was found beside a measured speed, and the
             samples are free of it: the search for a delay finds that.
         late_instant: beside a measured speed, what the fit of the whole motor tells of a voltage
@@ -59,6 +61,7 @@ class MotorUnderTest:
     stored_count: int
     remembered_count: int
     measured_rad_s: Array | None
+    speed_is_exact: bool
     is_lagging: bool
     late_instant: LateInstant | None
     knows_voltage_noise: bool
@@ -109,6 +112,7 @@ class MotorUnderTest:
             stored_count,
             remembered_count,
             readings,
+            takes_speed_for_exact(nodes),
             isinstance(nodes, MeasuredSpeedUpdate) and nodes.current_lag_s > 0.0,
             nodes.late_instant() if isinstance(nodes, MeasuredSpeedUpdate) else None,
             knows_voltage_noise(nodes.rule(motor) if isinstance(nodes, RotorGroup) else nodes),
@@ -152,6 +156,11 @@ class MotorUnderTest:
         """Return the readings of its speed at these, shape (n,)."""
         readings = self.measured_rad_s
         return None if readings is None else readings[readings.size - count :]
+
+
+def takes_speed_for_exact(nodes: ContextUpdate) -> bool:
+    """Tell whether a rule takes a measured speed for exact, after it was asked where it can be."""
+    return not isinstance(nodes, MeasuredSpeedUpdate) or (nodes.is_asked and not nodes.is_noisy)
 
 
 def knows_voltage_noise(nodes: ContextUpdate) -> bool:

@@ -240,15 +240,22 @@ class Projection:
         """
         return self._std(noise_a * noise_a * np.eye(self._scale.size))
 
+    def covariance_of_white(self) -> Array:
+        """Covariance of the log-parameters, shape (parameter, parameter), of white noise of 1 A."""
+        return self._covariance(np.eye(self._scale.size))
+
     def _std(self, covariance: Array) -> Array:
         """Standard deviations of the log-parameters by the covariance of the products."""
+        std: Array = np.sqrt(np.maximum(np.diagonal(self._covariance(covariance)), 0.0))
+        return std
+
+    def _covariance(self, covariance: Array) -> Array:
+        """Covariance of the log-parameters by that of the products."""
         spread = _solved(self._r, covariance) / self._scale[:, None]
         spread = (_solved(self._r, spread.T) / self._scale[:, None])[
             1 : self._unknowns, 1 : self._unknowns
         ]
-        shift = _of_parameters(_of_parameters(spread).T)
-        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
-        return std
+        return _of_parameters(_of_parameters(spread).T)
 
 
 def _solved(triangle: Array, right: Array) -> Array:

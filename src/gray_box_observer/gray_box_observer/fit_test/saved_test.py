@@ -108,6 +108,8 @@ def check_saved_result(plain: Mapping[str, Any], parameters: int) -> None:
         number(plain, 'noise_a', 0.0, LARGEST)
     if 'has_fitted' in plain:
         flag(plain, 'has_fitted')
+    if 'doubts_speed' in plain:
+        flag(plain, 'doubts_speed')
     if 'speed_is_fitted' in plain:
         flag(plain, 'speed_is_fitted')
     if 'evidence' in plain:

@@ -55,17 +55,12 @@ def speed_amounts(
         measured_rad_s: shape (k + 1,): readings of the speed at the samples.
     """
     assert isinstance(white_box, MotorWhiteBox)
-    back_emf_constant = white_box.values(theta).get('back_emf_constant', 0.0)
     if measured_rad_s.size < FEWEST:
         return {}
     difference = _difference(run, measured_rad_s)
     if not difference.any():
         return {}
-    by_voltage = _influence_of_voltages(run, projection)
-    by_mean_speed = -back_emf_constant * by_voltage
-    influence = np.zeros((by_voltage.shape[0], difference.size))
-    influence[:, :-1] += 0.5 * by_mean_speed
-    influence[:, 1:] += 0.5 * by_mean_speed
+    influence = influence_of_speeds(white_box, theta, run, projection)
     products = influence * difference
     if not np.isfinite(products).all():  # of an absurd motor
         return {}
@@ -147,6 +142,25 @@ def _mean_size(rest: Array) -> float:
 def _near(reach: int) -> list[int]:
     """Return the shifts up to a size, the smallest first."""
     return sorted(range(-reach, reach + 1), key=abs)
+
+
+def influence_of_speeds(
+    white_box: MotorWhiteBox, theta: Array, run: FreeRun, projection: Projection
+) -> Array:
+    """Return by how much one rad/s at a sample moves the log-parameters, (parameter, k + 1).
+
+    Args:
+        white_box: of one motor.
+        theta: shape (parameter,): its present values.
+        run: its free run at these.
+        projection: of its residual.
+    """
+    by_voltage = _influence_of_voltages(run, projection)
+    by_mean_speed = -white_box.values(theta).get('back_emf_constant', 0.0) * by_voltage
+    influence = np.zeros((by_voltage.shape[0], by_voltage.shape[1] + 1))
+    influence[:, :-1] += 0.5 * by_mean_speed
+    influence[:, 1:] += 0.5 * by_mean_speed
+    return influence
 
 
 def _influence_of_voltages(run: FreeRun, projection: Projection) -> Array:

@@ -54,6 +54,7 @@ from gray_box_observer.fit_test.policy import (
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analysis_in_pieces
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS
 from gray_box_observer.fit_test.speed_curve import inductance_shift
+from gray_box_observer.fit_test.speed_error import likely_shifts
 from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.fit_test.suspects import (
     Explanation,
@@ -150,6 +151,14 @@ class WindowTest:
     def _speed_is_guess(self) -> bool:
         is_stated = self.configuration.values['speed_source'] == 'torque_constant'
         return not (self._knows_speed or is_stated)
+
+    def _doubts_speed(self, motor: MotorUnderTest) -> bool:
+        """Tell whether an error of a measured speed would show in the parameters alone.
+
+        Where Kb is free, other tests ask what it does.
+        """
+        has_speed = self.white_box.speed_measured and BACK_EMF in self.white_box.known
+        return has_speed and motor.speed_is_exact
 
     def can_tell(self, motor: MotorUnderTest, count: int) -> bool:
         """Tell whether so many newest samples tell something: the voltage moves among them.
@@ -257,6 +266,11 @@ class WindowTest:
         is_stated = self.configuration.values['speed_source'] == 'measured'
         if white_box.speed_measured and not is_stated and stands_still(white_box, theta, content):
             judgement = with_shifts(judgement, np.ones(theta.shape[1]))  # it may be no speed at all
+        if self._doubts_speed(motor):
+            with np.errstate(all='ignore'):
+                shifts = likely_shifts(white_box, theta, content)
+            yield count
+            judgement = with_shifts(judgement, np.where(np.isfinite(shifts), shifts, 1.0))
         interval_s = usual_interval(samples[INTERVAL])
         if lag is not None and interval_s < math.inf:
             stamps_exact = bool(self.configuration.values['stamps_exact'])
@@ -361,6 +375,7 @@ class WindowTest:
             motor.delay.applied_s,
             motor.present_since,
             speed_is_fitted,
+            self._doubts_speed(motor),
         )
 
     def _without_seen_rotor(self, judgement: Judgement, theta: Array, samples: Array) -> Judgement:

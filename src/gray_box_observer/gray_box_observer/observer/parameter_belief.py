@@ -26,9 +26,9 @@ from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
-from gray_box_observer.observer.lag_doubt import LagDoubt
 from gray_box_observer.observer.level_doubt import LevelDoubt
 from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.speed_doubt import SpeedDoubt
 from gray_box_observer.white_box.interface import Array
 
 
@@ -66,7 +66,7 @@ class ParameterBelief:
         self.known_flags = np.zeros((motors, len(parameters)), dtype=bool)
         self.theta: Array = nodes.theta
         self.covariance: Array = np.zeros((motors, electrical, electrical))
-        self._lag = LagDoubt(form.white_box)
+        self._speed = SpeedDoubt(form.white_box)
         self._fit = form.fit
         self._scales = form.scales
         self.level: LevelDoubt | None = None
@@ -102,8 +102,10 @@ class ParameterBelief:
             estimate = self._scales.widened(nodes, estimate, self._places[motors], rules)
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
-        if isinstance(nodes, MeasuredSpeedUpdate):
-            estimate = self._lag.widened(nodes, estimate)
+        if isinstance(nodes, MeasuredSpeedUpdate) and not (
+            nodes.is_noisy or (nodes.is_asked and self._fit.doubts_speed(0))
+        ):
+            estimate = self._speed.widened(nodes, estimate)
         if not self._has_known_parts:
             return estimate
         return self._signed(estimate.with_known_parts(self._known_parts), motors)

@@ -11,11 +11,14 @@ import math
 
 import numpy as np
 
-from gray_box_observer.samples.order_statistics import distinct
+from gray_box_observer.samples.order_statistics import distinct, median
 from gray_box_observer.white_box.interface import Array
 
 STEP_TO_STD = 1.0 / math.sqrt(12.0)
 """Standard deviation of what is lost by rounding to a step, in units of the step."""
+
+COUNTED_STEP_TO_STD = 1.0 / math.sqrt(6.0)
+"""The same of a speed that is counted: the angle is rounded at either end of its interval."""
 
 WITHIN_STEP = 1.5
 """Steps within which a current has not moved: readings toggle between two levels."""
@@ -74,6 +77,25 @@ def speed_step(speed_rad_s: Array) -> float:
         return 0.0
     least = float(distances.min())
     return least if _is_grid(distances, least) else 0.0
+
+
+def reading_step(speed_rad_s: Array) -> float:
+    """Return by how much one rotor's speed moves when its reading does.
+
+    Most readings of a slow speed in steps repeat the one before, and so do those of a speed that is
+    read more seldom than it is asked for. Then it is the usual move.
+
+    Args:
+        speed_rad_s: shape (n,): readings in the order of time.
+
+    Returns:
+        In rad/s; 0 where readings move freely, NaN where they have never moved.
+    """
+    moves = np.abs(np.diff(speed_rad_s))
+    moves = moves[moves > 0.0]
+    if 2 * moves.size < speed_rad_s.size:
+        return float(median(moves)) if moves.size else math.nan
+    return speed_step(speed_rad_s)
 
 
 def quantisation_step(readings: Array) -> Array:

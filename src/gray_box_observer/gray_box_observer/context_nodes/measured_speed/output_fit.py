@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
-from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.measured_speed.speed_start import noisy_speed_start, speed_start
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
@@ -326,14 +326,14 @@ def fit_outputs(
     linear = speed_start(white_box, window, starts[0])
     plain = None
     if floor.shows_noise:  # late alone it leads astray
-        plain = speed_start(white_box, window, starts[0], load_varies=False)
+        plain = noisy_speed_start(white_box, window, starts[0], floor.speed_rad_s)
     steady = None
     if plain is not None:
         search = _settled(
             white_box, window, prior, [plain], floor, stops_at_lead=stops_at_lead, best=best
         )
         steady = yield from bounded(search, MOST_PLAIN_WORK)
-    if steady is None or floor.step_rad_s or not steady.is_within(CLOSE):
+    if steady is None or not steady.is_within(CLOSE):
         every_start = [*starts] if linear is None else [*starts, linear]
         other = yield from _settled(
             white_box, window, prior, every_start, floor, stops_at_lead=stops_at_lead, best=best

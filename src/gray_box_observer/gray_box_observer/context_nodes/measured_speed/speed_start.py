@@ -1,12 +1,19 @@
 """Where a fit of both outputs begins: linear least squares of both balances, integrated.
 
 With the speed measured both balances are linear in their parameters. Each is summed over a few
-samples, so that nothing noisy is differentiated. A load that varies is a few straight lines. In
-few samples these take all that the rotor does, so there is a start without them, too: by the
-samples at which the rotor turns, for the friction of one that stands is not known.
+samples, so that nothing noisy is differentiated. A load that varies is a few straight lines.
+
+In few samples these take all that the rotor does, so there is a start without them, too: by the
+samples at which the rotor turns, for the friction of one that stands is not known. There the speed
+is averaged over as many samples as its noise asks for, and is what is explained: as a column its
+noise would make the inertia small.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,31 +42,48 @@ LEAST_OHM = 1e-6
 """Resistance that a start has at least."""
 
 TURNS = 4.0
-"""Standard deviations of a speed, smoothed so, from which the rotor turns."""
+"""Standard deviations of a speed, averaged, from which the rotor turns."""
+
+FINE_SPREAD, MOST_SPAN = 16.0, 0.2
+"""Noise of an averaged speed that its spread is so many times as large as, if it were a step that
+is counted; and samples that are averaged at most, as a share of all."""
 
 RIDGE = 1e-6
 """Smallest singular value that is believed, as a share of the largest."""
 
 
-def speed_start(
-    white_box: MotorWhiteBox, window: Window, other: Array, *, load_varies: bool = True
-) -> Array | None:
+def speed_start(white_box: MotorWhiteBox, window: Window, other: Array) -> Array | None:
     """Return a start of the context nodes, shape (parameter,); None where nothing can be told.
 
     Args:
-        white_box: of one motor with a rotor.
+        white_box: of one motor with a rotor, whose load may vary.
         window: samples with speed.
         other: shape (parameter,): values of what is neither L, R nor of the rotor.
-        load_varies: whether a load may vary.
     """
+    return _start(white_box, window, other, _loaded_rotor)
+
+
+def noisy_speed_start(
+    white_box: MotorWhiteBox, window: Window, other: Array, noise_rad_s: float
+) -> Array | None:
+    """Return the same of a rotor without a load, from a speed whose noise is known."""
+    return _start(white_box, window, other, partial(_turning_rotor, noise_rad_s=noise_rad_s))
+
+
+def _start(
+    white_box: MotorWhiteBox,
+    window: Window,
+    other: Array,
+    rotor: Callable[[MotorWhiteBox, History, Array], list[float]],
+) -> Array | None:
     history = max(window.histories, key=lambda one: one.current_a.size)
     if history.speed_rad_s is None or history.current_a.size < 2 * SPAN:
         return None
     values = dict(zip(white_box.context_nodes, other.tolist(), strict=True))
-    lines = LINES if load_varies else 0
     with np.errstate(all='ignore'):
         values |= _electrical(white_box, history, history.speed_rad_s)
-        values |= _mechanical(white_box, history, history.speed_rad_s, lines)
+        balance = rotor(white_box, history, history.speed_rad_s)
+        values |= _mechanical(white_box, history, history.speed_rad_s, balance)
         values |= _slow_enough(white_box, values, window.interval_s)
     lower, upper = bounds(white_box.parameters)
     start = np.array([values[name] for name in white_box.context_nodes])
@@ -79,39 +103,84 @@ def _electrical(white_box: MotorWhiteBox, history: History, speed: Array) -> dic
     return {'inductance': inductance, 'resistance': resistance}
 
 
-def _mechanical(
-    white_box: MotorWhiteBox, history: History, speed: Array, lines: int
-) -> dict[str, float]:
-    """Return J, B, T_c and C of ``Kt i = J dw/dt + B w + T_c sign(w) + C |w| w + T_load(t)``.
+def _loaded_rotor(white_box: MotorWhiteBox, history: History, speed: Array) -> list[float]:
+    """Return J, B, T_c and, if it is a node, C of the balance in :func:`_rotor_columns`.
+
+    The load ``T_load(t)`` is a few straight lines.
+    """
+    signals, torque = _rotor_columns(white_box, history, speed, SMOOTH)
+    lines = _load_lines(history.interval_s, LINES)
+    columns = [_moved(signal) for signal in (*signals, *lines)]
+    return _solved(columns, _moved(torque))[: len(signals)]
+
+
+def _turning_rotor(
+    white_box: MotorWhiteBox, history: History, speed: Array, noise_rad_s: float
+) -> list[float]:
+    """Return the same without a load, by the samples at which the rotor turns."""
+    spread_rad_s = float(np.std(speed)) + 1e-300
+    longest = max(SPAN, int(MOST_SPAN * speed.size))
+    span = min(max(SPAN, math.ceil(FINE_SPREAD * noise_rad_s / spread_rad_s)), longest)
+    signals, torque = _rotor_columns(white_box, history, speed, span)
+    turns = _is_turning(speed, span)
+    moves, *columns = [_averaged(_moved(signal, span), span)[turns] for signal in signals]
+    right = _averaged(_moved(torque, span), span)[turns]
+    breakaway_nm = _breakaway_torque(white_box, history, speed)
+    viscous, dry, *fan = columns
+    for has_viscous, has_dry, known_nm in (
+        (True, True, 0.0),
+        (False, True, 0.0),
+        (True, False, breakaway_nm),
+        (False, False, breakaway_nm),
+        (False, False, 0.0),
+    ):  # no friction is negative; a few counts hardly tell one from the other
+        frictions = [viscous] * has_viscous + [dry] * has_dry + fan
+        driving = right - known_nm * dry
+        by_torque, *shares = _solved([driving, *(-column for column in frictions)], moves)
+        if by_torque > 0.0 and min(shares, default=0.0) >= 0.0:
+            values = iter([share / by_torque for share in shares])
+            return [
+                1.0 / by_torque,
+                next(values) if has_viscous else 0.0,
+                next(values) if has_dry else known_nm,
+                *values,
+            ]
+    return _solved([moves, *columns], right)
+
+
+def _breakaway_torque(white_box: MotorWhiteBox, history: History, speed: Array) -> float:
+    """Return the largest torque in N m under which the rotor has not begun to turn."""
+    begin = int(np.argmax(speed != speed[0]))
+    largest_a = float(np.abs(history.current_a[: begin + 1]).max())
+    return float(white_box.torque_constant) * largest_a if speed[0] == 0.0 else 0.0
+
+
+def _rotor_columns(
+    white_box: MotorWhiteBox, history: History, speed: Array, smooth: int
+) -> tuple[list[Array], Array]:
+    """Return ``J w + B int w + T_c int sign(w) + C int |w| w = Kt int i``: left columns, and right.
 
     Args:
         white_box: of one motor with a rotor.
         history: the samples.
         speed: shape (k + 1,): readings in rad/s.
-        lines: knots of the load; 0: there is none, and the rotor is told where it turns.
+        smooth: samples that the sign of the speed is told from.
     """
     interval = history.interval_s
-    torque_constant = float(white_box.torque_constant)
-    smooth_rad_s = np.convolve(speed, np.full(SMOOTH, 1.0 / SMOOTH), mode='same')
-    direction = np.sign(smooth_rad_s)
-    fan = []
+    direction = np.sign(np.convolve(speed, np.full(smooth, 1.0 / smooth), mode='same'))
+    signals = [speed, _integral(speed, interval), _integral(direction, interval)]
     if 'quadratic_friction' in white_box.context_nodes:
-        fan.append(_moved(_integral(np.abs(speed) * speed, interval)))
-    columns = [
-        _moved(speed),
-        _moved(_integral(speed, interval)),
-        _moved(_integral(direction, interval)),
-        *fan,
-        *(_moved(line) for line in _load_lines(interval, lines)),
-    ]
-    right = torque_constant * _moved(_integral(history.current_a, interval))
-    if not lines:
-        turns = _is_turning(speed, smooth_rad_s)
-        columns = [column[turns] for column in columns]
-        right = right[turns]
-    inertia, viscous, dry, *others = _solved(columns, right)
-    quadratic = others[0] if fan else 0.0
-    torque = torque_constant * float(quantile(np.abs(history.current_a), 0.99))
+        signals.append(_integral(np.abs(speed) * speed, interval))
+    return signals, float(white_box.torque_constant) * _integral(history.current_a, interval)
+
+
+def _mechanical(
+    white_box: MotorWhiteBox, history: History, speed: Array, balance: list[float]
+) -> dict[str, float]:
+    """Return J, B, T_c and C, no friction smaller than that of which nothing is seen."""
+    inertia, viscous, dry, *others = balance
+    quadratic = others[0] if others else 0.0
+    torque = float(white_box.torque_constant) * float(quantile(np.abs(history.current_a), 0.99))
     slowness = 1.0 / (float(np.abs(speed).max()) + 1e-12)
     return {
         'inertia': inertia,
@@ -143,11 +212,12 @@ def _load_lines(interval_s: Array, count: int) -> Array:
     return np.concatenate([np.zeros((count, 1)), np.cumsum(hats * interval_s, axis=1)], axis=1)
 
 
-def _is_turning(speed: Array, smooth_rad_s: Array) -> NDArray[np.bool_]:
-    """Tell over which spans a rotor turns all the time, shape (k + 1 - SPAN,); all where none."""
-    least_rad_s = TURNS * difference_noise(speed) / np.sqrt(SMOOTH)
-    count = np.concatenate([[0.0], np.cumsum(np.abs(smooth_rad_s) > least_rad_s)])
-    turns: NDArray[np.bool_] = _moved(count)[:-1] == SPAN
+def _is_turning(speed: Array, span: int) -> NDArray[np.bool_]:
+    """Tell over which averages of moves a rotor turns all the time; all where over none."""
+    averages_rad_s = np.convolve(speed, np.full(span, 1.0 / span), mode='same')
+    least_rad_s = TURNS * difference_noise(speed) / np.sqrt(span)
+    count = np.concatenate([[0.0], np.cumsum(np.abs(averages_rad_s) > least_rad_s)])
+    turns: NDArray[np.bool_] = _averaged(_moved(count, span)[:-1], span) > span - 0.5
     return turns if turns.any() else np.ones_like(turns)
 
 
@@ -165,6 +235,11 @@ def _integral(signal: Array, interval_s: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(middle * interval_s)])
 
 
-def _moved(signal: Array) -> Array:
-    """Change of a signal over SPAN samples."""
-    return signal[SPAN:] - signal[:-SPAN]
+def _moved(signal: Array, span: int = SPAN) -> Array:
+    """Change of a signal over so many samples."""
+    return signal[span:] - signal[:-span]
+
+
+def _averaged(signal: Array, span: int) -> Array:
+    """Averages of a signal over so many samples."""
+    return np.convolve(signal, np.full(span, 1.0 / span), mode='valid')
