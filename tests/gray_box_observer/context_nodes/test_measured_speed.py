@@ -24,7 +24,10 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.measured_speed import output_update
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
-from gray_box_observer.context_nodes.measured_speed.speed_start import noisy_speed_start, speed_start
+from gray_box_observer.context_nodes.measured_speed.speed_start import (
+    noisy_speed_start,
+    speed_start,
+)
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput, Unknowns

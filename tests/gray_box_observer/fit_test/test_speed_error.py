@@ -107,7 +107,9 @@ def test_what_is_likely_of_a_rounded_speed_contains_what_rounding_does(step_rad_
 
 def test_an_error_lasts_as_long_as_the_reading_does() -> None:
     """A speed between two levels is counted as one and the other: the errors cancel."""
-    samples, step_rad_s, current_a = 300, 5.0, 0.5
+    samples = 300
+    step_rad_s = 5.0
+    current_a = 0.5
     interval_s = np.full(samples, INTERVAL_S)
     toggling = 100.0 + step_rad_s * (np.arange(samples) % 2)
     lasting = 100.0 + step_rad_s * (np.arange(samples) >= samples // 2)

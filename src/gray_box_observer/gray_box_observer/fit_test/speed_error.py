@@ -82,17 +82,17 @@ def _within_reach(shifts: Array, covariance: Array) -> Array:
         covariance: shape (parameter, parameter): of the log-parameters under white noise.
     """
     result = shifts
-    held: list[int] = []
-    while np.isfinite(result).all() and len(held) < shifts.shape[1]:
+    places: list[int] = []  # of the parameters that are held
+    while np.isfinite(result).all() and len(places) < shifts.shape[1]:
         sizes = np.linalg.norm(result, axis=0)
-        sizes[held] = 0.0
+        sizes[places] = 0.0
         place = int(np.argmax(sizes))
         if sizes[place] <= FARTHEST:
             break
-        limited = result.copy()
-        limited[:, place] *= FARTHEST / sizes[place]
-        held.append(place)
-        to_others = np.linalg.pinv(covariance[np.ix_(held, held)]) @ covariance[held]
-        result = shifts - (shifts[:, held] - limited[:, held]) @ to_others
-        result[:, held] = limited[:, held]
+        places.append(place)
+        ends = result[:, places]
+        ends[:, -1] *= FARTHEST / sizes[place]
+        to_others = np.linalg.pinv(covariance[np.ix_(places, places)]) @ covariance[places]
+        result = shifts - (shifts[:, places] - ends) @ to_others
+        result[:, places] = ends
     return result

@@ -50,6 +50,7 @@ from gray_box_observer.safe_io.saved_state import (
     number,
     whole,
 )
+from gray_box_observer.samples.order_statistics import distinct
 from gray_box_observer.samples.replay_buffer import (
     SPEED,
     ReplayBuffer,
@@ -79,6 +80,10 @@ noise of their speed is not clearly noise: of fewer the next fit may tell more."
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up; one, where it was
 believed for less than FULL samples."""
+
+FEWEST_LEVELS = 3
+"""Levels that the readings of a speed have met, from which fewer than FULL samples are asked. A few
+counts of an encoder are explained as well by a motor whose R is a quarter smaller."""
 
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
@@ -448,6 +453,8 @@ class MeasuredSpeedUpdate:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
         place = int(self._outputs.replay.received[0])
         if place < self._rest_until or np.ptp(samples[SPEED]) <= STILL:
+            return False
+        if samples.shape[1] < FULL and distinct(samples[SPEED]).size < FEWEST_LEVELS:
             return False
         if self._mechanics is not None:
             return True

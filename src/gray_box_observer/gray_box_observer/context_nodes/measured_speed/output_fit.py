@@ -14,7 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
-from gray_box_observer.context_nodes.measured_speed.speed_start import noisy_speed_start, speed_start
+from gray_box_observer.context_nodes.measured_speed.speed_start import (
+    noisy_speed_start,
+    speed_start,
+)
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
@@ -123,11 +126,6 @@ class OutputNoise:
     def shows_noise(self) -> bool:
         """Whether the speed has more noise than is always believed."""
         return self.speed_rad_s > SEEN * self.least_rad_s
-
-    @property
-    def is_coarse(self) -> bool:
-        """Whether steps of the speed's readings are the least noise that is believed."""
-        return 0.0 < self.least_rad_s <= LESS_THAN_STEP * self.step_rad_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +238,8 @@ class OutputFit:
 
     @property
     def shows_exact_speed(self) -> bool:
-        """Whether it explains both outputs by a speed without noise, and without coarse steps."""
-        return self.explains and not (self.shows_noise or self.noise.is_coarse)
+        """Whether it explains both outputs by a speed without noise."""
+        return self.explains and not self.shows_noise
 
     def is_within(self, factor: float) -> bool:
         """Tell whether no residual is more than so many times its floor."""

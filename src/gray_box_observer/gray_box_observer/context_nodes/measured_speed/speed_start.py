@@ -44,9 +44,12 @@ LEAST_OHM = 1e-6
 TURNS = 4.0
 """Standard deviations of a speed, averaged, from which the rotor turns."""
 
-FINE_SPREAD, MOST_SPAN = 16.0, 0.2
-"""Noise of an averaged speed that its spread is so many times as large as, if it were a step that
-is counted; and samples that are averaged at most, as a share of all."""
+SAMPLES_OF_NOISE = 16.0
+"""Samples that a speed is averaged over, times its spread over its noise: a counted one is wrong by
+one step in them all."""
+
+LONGEST_SPAN = 0.2
+"""Samples that it is averaged over at most, as a share of all."""
 
 RIDGE = 1e-6
 """Smallest singular value that is believed, as a share of the largest."""
@@ -119,8 +122,8 @@ def _turning_rotor(
 ) -> list[float]:
     """Return the same without a load, by the samples at which the rotor turns."""
     spread_rad_s = float(np.std(speed)) + 1e-300
-    longest = max(SPAN, int(MOST_SPAN * speed.size))
-    span = min(max(SPAN, math.ceil(FINE_SPREAD * noise_rad_s / spread_rad_s)), longest)
+    longest = max(SPAN, int(LONGEST_SPAN * speed.size))
+    span = min(max(SPAN, math.ceil(SAMPLES_OF_NOISE * noise_rad_s / spread_rad_s)), longest)
     signals, torque = _rotor_columns(white_box, history, speed, span)
     turns = _is_turning(speed, span)
     moves, *columns = [_averaged(_moved(signal, span), span)[turns] for signal in signals]
@@ -135,8 +138,8 @@ def _turning_rotor(
         (False, False, 0.0),
     ):  # no friction is negative; a few counts hardly tell one from the other
         frictions = [viscous] * has_viscous + [dry] * has_dry + fan
-        driving = right - known_nm * dry
-        by_torque, *shares = _solved([driving, *(-column for column in frictions)], moves)
+        torque_balance = right - known_nm * dry
+        by_torque, *shares = _solved([torque_balance, *(-column for column in frictions)], moves)
         if by_torque > 0.0 and min(shares, default=0.0) >= 0.0:
             values = iter([share / by_torque for share in shares])
             return [
