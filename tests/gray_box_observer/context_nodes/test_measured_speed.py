@@ -771,9 +771,7 @@ def test_a_start_of_a_noisy_speed_has_the_inertia_that_its_noise_would_hide() ->
     box = MotorWhiteBox(
         STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
     )
-    window = Window.from_samples(
-        box, sticky_content(250, 500)[:, 0], Unknowns(SpeedOutput(1.0))
-    )
+    window = Window.from_samples(box, sticky_content(250, 500)[:, 0], Unknowns(SpeedOutput(1.0)))
     other = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
     start = noisy_speed_start(box, window, other, 3.6)
     plain = speed_start(box, window, other)

@@ -33,9 +33,7 @@ def verdicts_beside(step_rad_s: float, samples: int = SAMPLES) -> tuple[Verdict,
     content = np.stack([interval_s, before_v, record.torque_nm[0, :samples], speed])
     replay = ReplayBuffer(1, samples)
     replay.refill(content[:, None])
-    nodes: Any = SimpleNamespace(
-        replay=replay, theta=THETA, verdict_rules=VerdictSettings()
-    )
+    nodes: Any = SimpleNamespace(replay=replay, theta=THETA, verdict_rules=VerdictSettings())
     covariance = np.diag((1e-4 * THETA[0]) ** 2)[None]
     verdicts = ((Verdict.IDENTIFIED, Verdict.IDENTIFIED),)
     estimate = Estimate(0, BOX.parameters, THETA, covariance, verdicts)
