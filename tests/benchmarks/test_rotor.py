@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rotor
 from common.cases import CASES, simulate
 from common.rotor.records import NODES, draw
+from common.rotor.robot_figures import without_speed
 from common.rotor.runs import run_trial
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.rotor.thesis_sets import run_thesis_set
+from common.rotor.trial_tables import over_bound, share_false
 from common.trust.motors import gear_motor
+from real_motors import DEFAULT_DATA, Case
 
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
@@ -43,18 +45,18 @@ def test_a_trial_ends_near_the_truth_and_claims_nothing_false() -> None:
     assert trial.claims > 0
     assert trial.false == 0
     assert trial.near_s < 4.0
-    assert rotor.share_false([trial]) == 0.0
-    assert rotor.over_bound([trial]).shape == (len(NODES),)
+    assert share_false([trial]) == 0.0
+    assert over_bound([trial]).shape == (len(NODES),)
 
 
 def test_a_robot_without_speed_has_a_rotor() -> None:
-    case = rotor.Case(
+    case = Case(
         'robot 1',
-        rotor.DEFAULT_DATA / 'none.txt',
+        DEFAULT_DATA / 'none.txt',
         ('time=$1', 'left.voltage=$5', 'left.speed=$9'),
         {'left.torque_constant': 0.007, 'right.torque_constant': 0.007},
     )
-    made = rotor.without_speed(case)
+    made = without_speed(case)
     assert made.columns == ('time=$1', 'left.voltage=$5')
     assert made.parameters['right.speed_source'] == 'rotor'
 

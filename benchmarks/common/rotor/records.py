@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.motion import FloatArray
+from common.rotor.drives import Drive, random_levels
 from common.trust.plant import Motor, Plant
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs
@@ -17,10 +18,6 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import State
 
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
-LOWEST_V = -12.0
-HIGHEST_V = 12.0
-SHORTEST_S = 0.05
-LONGEST_S = 0.5
 SLOWEST_HZ = 5000.0
 """Least rate of the plant's own steps."""
 
@@ -121,8 +118,9 @@ def draw(
     rate_hz: float,
     duration_s: float,
     noise: float = 0.01,
+    drive: Drive = random_levels,
 ) -> Record:
-    """Draw a motor and record it under ``R[-12,12]D[0.05,0.5]``.
+    """Draw a motor and record it.
 
     Args:
         kind: draws the motor.
@@ -130,10 +128,11 @@ def draw(
         rate_hz: of the samples.
         duration_s: length of the record.
         noise: standard deviation as a share of the current's.
+        drive: its voltage.
     """
     rng = np.random.default_rng([17, seed])
     motor = kind(rng)
-    voltage = random_levels(rate_hz, duration_s, rng)
+    voltage = drive(rate_hz, duration_s, rng)
     steps = max(1, math.ceil(SLOWEST_HZ / rate_hz))
     plant = Plant(motor, 1.0 / (rate_hz * steps))
     currents, speeds = plant.run(np.repeat(voltage, steps).tolist())
@@ -142,14 +141,3 @@ def draw(
     noise_a = noise * float(np.std(current))
     measured = current + rng.normal(0.0, noise_a, current.size)
     return Record(motor, 1.0 / rate_hz, voltage, current, measured, noise_a, speed)
-
-
-def random_levels(rate_hz: float, duration_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return ``R[-12,12]D[0.05,0.5]``: levels in V, each held for a random time, shape (k,)."""
-    voltage = np.empty(round(duration_s * rate_hz))
-    begin = 0
-    while begin < voltage.size:
-        hold = max(1, round(rng.uniform(SHORTEST_S, LONGEST_S) * rate_hz))
-        voltage[begin : begin + hold] = rng.uniform(LOWEST_V, HIGHEST_V)
-        begin += hold
-    return voltage

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from common.motion import FloatArray
+from common.rotor.drives import Drive, random_levels
 from common.rotor.records import Record, draw, smallest_std
 from common.trust.motors import gear_motor
 
@@ -113,6 +114,7 @@ def draw_with_speed(
     rate_hz: float,
     duration_s: float,
     nodes: tuple[str, ...] = ELECTRICAL,
+    drive: Drive = random_levels,
 ) -> SpeedRecord:
     """Draw a gear motor and record it with its speed.
 
@@ -122,8 +124,9 @@ def draw_with_speed(
         rate_hz: of the samples.
         duration_s: length of the record.
         nodes: what is identified, ELECTRICAL or NODES.
+        drive: its voltage.
     """
-    record = draw(gear_motor, seed, rate_hz, duration_s)
+    record = draw(gear_motor, seed, rate_hz, duration_s, drive=drive)
     rng = np.random.default_rng([18, seed])
     reading = sensor.read(record.speed_rad_s, record.interval_s, rng)
     values = {field.name: getattr(record, field.name) for field in fields(record)}
