@@ -94,3 +94,15 @@ def test_a_remedy_by_parameters_is_a_line_of_a_parameter_file(name: str) -> None
     assert key == parameter
     assert isinstance(value, (float, list)) or value in ('rotor', 'estimate')
     assert '  # ' in remedy, 'the reason'
+
+
+def test_a_kb_that_is_off_is_named_by_the_value_that_it_has() -> None:
+    explanation = Explanation(EFFECTS['back_emf_constant'], 100.0, 0.0015, 0.0015, 2.0)
+    assert yaml.safe_load(explanation.suspect('left', 0.02, 0.0285).remedy) == {
+        'left.back_emf_constant': 0.03
+    }
+
+
+def test_of_less_than_no_lost_voltage_no_parameter_is_named() -> None:
+    explanation = Explanation(EFFECTS['lost_voltage'], 100.0, -0.0017, -0.0017, 2.0)
+    assert 'brush_drop' not in explanation.suspect('left', 0.02).remedy

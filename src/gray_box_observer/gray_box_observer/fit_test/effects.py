@@ -92,6 +92,8 @@ class Effect:
         hides_resistance: whether the resistance may come out as anything beside it.
         largest_share: largest amount, over the root mean square of the voltage, that such an effect
             can have.
+        negative_remedy: what to do about less than none of it, which no parameter takes; empty: the
+            same.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Effect:
     credible: tuple[float, float] = (-math.inf, math.inf)
     hides_resistance: bool = False
     largest_share: float = math.inf
+    negative_remedy: str = ''
 
 
 def interval_means(signal: Array) -> Array:
@@ -211,6 +214,8 @@ EFFECTS: dict[str, Effect] = {
             _lost_voltage,
             '{motor}.brush_drop: {amount:.3g}  # brushes or driver take that many volts; while the '
             'current keeps its sign an offset of the current looks the same',
+            negative_remedy='look for an offset, or a gain, of voltage and current: more voltage '
+            'seems to reach the winding than is stated',
         ),
         Effect(
             'dead_zone',
@@ -242,8 +247,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'back_emf_constant',
             _back_emf,
-            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]  # Kb differs by '
-            '{amount:.3g} V s/rad',
+            '{motor}.back_emf_constant: {kb:.4g}  # it differs by {amount:.3g} V s/rad; a speed '
+            'without noise finds it among {motor}.context_nodes, too',
             needs_speed=True,
         ),
         Effect(

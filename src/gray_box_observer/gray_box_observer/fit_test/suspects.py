@@ -81,15 +81,23 @@ class Explanation:
         """Explanations in the order of their evidence, those that cannot be before all others."""
         return self.is_credible, self.evidence
 
-    def suspect(self, motor: str, torque_constant: float) -> Suspect:
+    def suspect(self, motor: str, torque_constant: float, stated_kb: float = 0.0) -> Suspect:
         """Name it, with a remedy that can be pasted.
 
         Args:
             motor: its name.
             torque_constant: Kt in N m/A.
+            stated_kb: Kb in V s/rad, as it is known beforehand; 0: it is not.
         """
-        offset_nm = torque_constant * self.amount / (self.resistance or math.nan)
-        remedy = self.effect.remedy.format(motor=motor, amount=self.amount, offset_nm=offset_nm)
+        remedy = self.effect.remedy
+        if self.amount < 0.0 and self.effect.negative_remedy:
+            remedy = self.effect.negative_remedy
+        remedy = remedy.format(
+            motor=motor,
+            amount=self.amount,
+            offset_nm=torque_constant * self.amount / (self.resistance or math.nan),
+            kb=stated_kb + self.amount,
+        )
         return Suspect(self.effect.name, self.evidence, remedy)
 
 

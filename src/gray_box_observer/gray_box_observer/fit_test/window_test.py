@@ -450,7 +450,11 @@ class WindowTest:
         name = self.configuration.name
         if self.white_box.has_rotor and effect == 'current_offset':
             return self._of_load(explanation.evidence)
-        suspect = explanation.suspect(name, float(self.white_box.torque_constant))
+        suspect = explanation.suspect(
+            name,
+            float(self.white_box.torque_constant),
+            float(self.white_box.known.get(BACK_EMF, 0.0)),
+        )
         remedies: Mapping[str, str] = {}
         if self.white_box.has_rotor:
             remedies = ROTOR_REMEDIES
