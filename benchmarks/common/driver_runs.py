@@ -10,7 +10,7 @@ import numpy as np
 from common.claims import noisy_readings
 from common.motion import FloatArray
 from common.motor_trial import MotorTrial, observed_trial
-from common.rotor.drives import random_levels
+from common.rotor.voltages import random_levels
 from common.trust.motors import Motor, gear_motor
 from common.trust.plant import Plant
 

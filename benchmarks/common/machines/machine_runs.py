@@ -14,7 +14,7 @@ from common.machines.drawn_machines import Machine, draw_machine
 from common.machines.machine_plant import MachinePlant
 from common.motion import FloatArray
 from common.motor_trial import MotorTrial, observed_trial
-from common.rotor.records import LONGEST_S, SHORTEST_S
+from common.rotor.voltages import LONGEST_S, SHORTEST_S
 from common.trust.motors import SUPPLY_V
 
 STEPS = 'steps'

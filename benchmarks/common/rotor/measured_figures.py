@@ -8,7 +8,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from common.figures import Figure, number, table
-from common.rotor.drives import Drive, one_level, ramps, random_levels, slow_sine, soft_levels
 from common.rotor.records import NODES
 from common.rotor.runs import FALSE_SHARE, FALSE_STDS, Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL, SpeedSensor, draw_with_speed
@@ -20,6 +19,7 @@ from common.rotor.trial_tables import (
     share_misfit,
     show,
 )
+from common.rotor.voltages import Drive, one_level, ramps, random_levels, slow_sine, soft_levels
 
 CONFIDENCE = 0.95
 FINE_SENSOR = SpeedSensor('speed with 0.5 % noise', noise=0.005)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.motion import FloatArray
-from common.rotor.drives import Drive, random_levels
+from common.rotor.voltages import Drive, random_levels
 from common.trust.plant import Motor, Plant
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.free_runs import free_runs

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from common.motion import FloatArray
-from common.rotor.drives import Drive, random_levels
 from common.rotor.records import Record, draw, smallest_std
+from common.rotor.voltages import Drive, random_levels
 from common.trust.motors import gear_motor
 
 ELECTRICAL = ('inductance', 'resistance')

@@ -9,7 +9,7 @@ import numpy as np
 from common.joints.joint_control import SPEED_GAIN, SPEED_GAIN_RATE
 from common.limits import limited
 from common.machines.machine_runs import CRUISE, LONG_S, LONG_STEPS, SPEED_LOOP, STEPS
-from common.rotor.records import LONGEST_S, SHORTEST_S
+from common.rotor.voltages import LONGEST_S, SHORTEST_S
 from common.trust.motors import log_uniform
 from common.wide.wide_motors import WideMotor
 

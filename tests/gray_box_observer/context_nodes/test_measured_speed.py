@@ -724,7 +724,7 @@ STICKY = PlantParameters(
 STICKY_NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
 
 
-def sticky_content(samples: int, counts: int) -> np.ndarray:
+def sticky_content(samples: int, counts: int, rate_hz: float = 0.4) -> np.ndarray:
     """Samples of a shaft that begins to turn under 8 V of a slow sine, counted by an encoder."""
     simulation = Simulation(
         {'motor': STICKY}, 'external', seed=8, sample_rate_hz=1000.0, torque_noise_std=1.3e-5,
@@ -732,7 +732,7 @@ def sticky_content(samples: int, counts: int) -> np.ndarray:
     )  # fmt: skip
     taken = []
     for k in range(samples):
-        simulation.command('motor', 8.0 * np.sin(2.0 * np.pi * 0.4e-3 * k))
+        simulation.command('motor', 8.0 * np.sin(2.0 * np.pi * rate_hz * 1e-3 * k))
         taken.append(simulation.step())
     volts, torque, speed = (
         np.array([getattr(one, name)[0] for one in taken])
@@ -748,17 +748,19 @@ def sticky_content(samples: int, counts: int) -> np.ndarray:
     return np.stack([interval_s, before_v, torque, read_rad_s])[:, None]
 
 
-@pytest.mark.parametrize('counts', [64, 500])
-@pytest.mark.parametrize('samples', [160, 250])
+@pytest.mark.parametrize(
+    ('samples', 'counts', 'rate_hz'),
+    [(160, 64, 0.4), (160, 500, 0.4), (250, 64, 0.4), (250, 500, 0.4), (160, 64, 0.15)],
+)
 def test_a_shaft_that_begins_to_turn_is_found_by_the_counts_of_its_encoder(
-    counts: int, samples: int
+    samples: int, counts: int, rate_hz: float
 ) -> None:
     """Another end has a rotor that turns too early, its speed 20 intervals late, R 20 % smaller."""
     box = MotorWhiteBox(
         STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
     )
     update = output_update.OutputUpdate(box, np.array([[1.5, 3.0, 1e-4, 1e-4, 1e-3]]))
-    update.begin_with(sticky_content(samples, counts), 1_000_000 * samples)
+    update.begin_with(sticky_content(samples, counts, rate_hz), 1_000_000 * samples)
     update.begin_fit()
     update.complete()
     assert update.output_fit is not None
@@ -780,3 +782,25 @@ def test_a_start_of_a_noisy_speed_has_the_inertia_that_its_noise_would_hide() ->
     assert start[2] == pytest.approx(STICKY.inertia, rel=0.3)
     assert start[4] == pytest.approx(STICKY.coulomb_friction, rel=0.3)
     assert plain[2] < 0.3 * STICKY.inertia
+
+
+def test_two_levels_of_a_speed_are_asked_of_no_fit_before_a_thousand_samples() -> None:
+    content = sticky_content(1400, 500)
+    content[3] = np.where(content[3] > np.median(content[3]), 100.0, 0.0)
+    fits = {}
+    for levels in (2, 3):
+        content[3, 0, 5] = 0.0 if levels == 2 else 50.0
+        update = MeasuredSpeedUpdate(
+            MotorWhiteBox(
+                ('inductance', 'resistance'),
+                STICKY.torque_constant,
+                {'back_emf_constant': STICKY.back_emf_constant},
+                True,
+            ),
+            START, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2)),
+        )  # fmt: skip
+        update._outputs.begin_with(content[:, :, :900], 0)
+        few = update._is_worth_asking(update._outputs.unfitted)
+        update._outputs.begin_with(content, 0)
+        fits[levels] = (few, update._is_worth_asking(update._outputs.unfitted))
+    assert fits == {2: (False, True), 3: (True, True)}

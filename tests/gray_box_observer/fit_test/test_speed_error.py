@@ -19,6 +19,7 @@ from free_rotor_records import (
 from linear_motor_records import INTERVAL_S, Floats
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.fit_test import speed_error
 from gray_box_observer.fit_test.free_run import free_run
 from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.speed_error import MOST_SAMPLES, likely_shifts
@@ -126,3 +127,9 @@ def test_an_error_lasts_as_long_as_the_reading_does() -> None:
 def test_mean_speeds_over_an_interval_are_no_steps() -> None:
     read = content(200, mean_speeds(motion(200)[2]))
     assert likely_shifts(L_AND_R, TRUTH, read).shape[0] == 1
+
+
+def test_of_a_motor_whose_covariance_is_no_number_nothing_can_be_told() -> None:
+    """The inverse of such a matrix would never be found."""
+    shifts = np.array([[1.0, 9.0]])
+    assert np.isnan(speed_error._within_reach(shifts, np.full((2, 2), np.inf))).all()

@@ -247,8 +247,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'back_emf_constant',
             _back_emf,
-            '{motor}.back_emf_constant: {kb:.4g}  # it differs by {amount:.3g} V s/rad; a speed '
-            'without noise finds it among {motor}.context_nodes, too',
+            '{motor}.back_emf_constant: {kb:.4g}  # Kb differs by {amount:.3g} V s/rad, or the '
+            'voltage by its scale; beside a speed without noise {motor}.context_nodes may hold it',
             needs_speed=True,
         ),
         Effect(

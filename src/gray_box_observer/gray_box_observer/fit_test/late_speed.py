@@ -1,9 +1,10 @@
-"""What a measured speed that comes late would do to an estimate whose Kb is free.
+"""How late a measured speed comes, and what that would do to an estimate whose Kb is free.
 
 A difference of angles is the speed of half an interval ago, a filter adds its own lag. Such a speed
 leaves out ``Kb lag dw/dt`` of the voltage. Without friction the acceleration follows the current:
 then it looks like resistance, and the voltage balance shows nothing. The mechanics show it: the
-acceleration comes later than its current.
+acceleration comes later than its current. Where Kb is known, see
+:mod:`~gray_box_observer.fit_test.speed_error`.
 """
 
 from __future__ import annotations

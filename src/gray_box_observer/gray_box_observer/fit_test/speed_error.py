@@ -20,9 +20,13 @@ from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
+FEWEST = 16
+"""Samples from which something can be told."""
+
 MOST_SAMPLES = 512
-"""Newest samples that are looked at. A speed that does not move over so many is that of a shaft
-that stands, or of a dead sensor; over fewer it may not have come to its first step."""
+"""Samples that are looked at before the first answer. A speed that does not move over so many is
+that of a shaft that stands, or of a dead sensor; over fewer it may not have come to its first step.
+"""
 
 LIKELY, FEWEST_LIKELY = 1.0, 24
 """Standard deviation in sample intervals of a lag before anything is known of it, and intervals in
@@ -39,7 +43,7 @@ def likely_shifts(white_box: MotorWhiteBox, theta: Array, content: Array) -> Arr
     Args:
         white_box: of one motor whose speed is measured.
         theta: shape (1, parameter): its present values.
-        content: shape (signal, 1, n): samples, as a replay buffer gives them.
+        content: shape (signal, 1, n): samples, as a replay buffer gives them; FEWEST at least.
 
     Returns:
         Shape (error, parameter), one row for each of some errors that do not depend on each other:
@@ -82,6 +86,8 @@ def _within_reach(shifts: Array, covariance: Array) -> Array:
         covariance: shape (parameter, parameter): of the log-parameters under white noise.
     """
     result = shifts
+    if not np.isfinite(covariance).all():  # of an absurd motor; its inverse would never be found
+        return np.full_like(shifts, np.nan)
     places: list[int] = []  # of the parameters that are held
     while np.isfinite(result).all() and len(places) < shifts.shape[1]:
         sizes = np.linalg.norm(result, axis=0)

@@ -14,13 +14,10 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate, MeasuredSpeedUpdate
 from gray_box_observer.context_nodes.estimate import unsettled
-from gray_box_observer.fit_test.speed_error import MOST_SAMPLES, likely_shifts
+from gray_box_observer.fit_test.speed_error import FEWEST, MOST_SAMPLES, likely_shifts
 from gray_box_observer.observer.scale_doubt import with_doubt
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
-
-FEWEST = 16
-"""Samples from which something can be told."""
 
 
 class SpeedDoubt:

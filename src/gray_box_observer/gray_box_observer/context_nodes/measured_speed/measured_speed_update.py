@@ -83,7 +83,8 @@ believed for less than FULL samples."""
 
 FEWEST_LEVELS = 3
 """Levels that the readings of a speed have met, from which fewer than FULL samples are asked. A few
-counts of an encoder are explained as well by a motor whose R is a quarter smaller."""
+counts of an encoder are explained as well by a motor whose R is a fifth smaller. Counts over
+intervals that differ are as many levels, and are asked."""
 
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""

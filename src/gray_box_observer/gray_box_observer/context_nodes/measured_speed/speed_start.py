@@ -208,8 +208,6 @@ def _slow_enough(
 
 def _load_lines(interval_s: Array, count: int) -> Array:
     """Return the integral of the load up to every sample, one row a knot, (knot, k + 1)."""
-    if not count:
-        return np.empty((0, interval_s.size + 1))
     places = knot_places(interval_s, count)
     hats = np.maximum(1.0 - np.abs(places - np.arange(count)[:, None]), 0.0)
     return np.concatenate([np.zeros((count, 1)), np.cumsum(hats * interval_s, axis=1)], axis=1)
