@@ -26,7 +26,8 @@ class Slow(importlib.abc.MetaPathFinder):
     def find_spec(self, name, *_):
         if name == slow_module:
             print('loading', flush=True)
-            time.sleep(100.0)
+            for _ in range(1000):  # a signal just before one sleep does not end it
+                time.sleep(0.1)
 
 sys.meta_path.insert(0, Slow())
 package, _, name = executable.partition(':')
