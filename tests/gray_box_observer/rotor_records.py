@@ -24,6 +24,12 @@ GEAR_MOTOR = PlantParameters(
     inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
     inertia=1e-5, viscous_friction=1e-5, coulomb_friction=8.4e-3,
 )  # fmt: skip
+STICKY_MOTOR = PlantParameters(
+    inductance=0.011, resistance=5.8, hysteresis=0.0, torque_constant=0.013,
+    back_emf_constant=0.013, inertia=2.1e-6, viscous_friction=6.6e-7, coulomb_friction=1.4e-3,
+)  # fmt: skip
+"""Its shaft begins to turn at 0.6 V."""
+
 CONSTANTS = {'motor.torque_constant': 0.02, 'motor.back_emf_constant': 0.02}
 LIVELY = 'R[-12,12]D[0.05,0.5]'
 
@@ -93,6 +99,16 @@ def recorded_under(
         taken.append(simulation.step())
         angle_rad += 1e-3 * float(taken[-1].speed_rad_s[0])
     return recording_of(taken)
+
+
+def counted_speed(
+    speed_rad_s: NDArray[np.float64], counts: int, rate_hz: float = 1000.0
+) -> NDArray[np.float64]:
+    """Return a speed as an encoder of so many counts a turn has it, over every interval."""
+    unit_rad = 2.0 * np.pi / counts
+    turned_rad = np.cumsum(0.5 * (speed_rad_s[1:] + speed_rad_s[:-1])) / rate_hz
+    count = np.floor(np.concatenate([[0.3], 0.3 + turned_rad]) / unit_rad)
+    return np.asarray(np.diff(count, prepend=count[0]) * unit_rad * rate_hz)
 
 
 def recording_of(samples: Sequence[Sample]) -> Recording:

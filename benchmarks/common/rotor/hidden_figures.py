@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from common.cases import CASES, simulate
 from common.figures import Figure, number, table
@@ -18,6 +17,7 @@ from common.rotor.thesis_sets import NOISE, ThesisTrial, run_thesis_set
 from common.rotor.trial_tables import (
     WITHIN_STDS,
     false_of_claims,
+    nees_band,
     over_bound,
     share_false,
     share_of,
@@ -26,7 +26,6 @@ from common.rotor.trial_tables import (
 )
 from common.trust.motors import fan_motor, gear_motor, sticky_motor, thesis_like_motor
 
-CONFIDENCE = 0.95
 FLEET, FLEET_HZ = 1000, 100.0
 """Motors, and samples a second of each, that the cost of many is reckoned for."""
 
@@ -51,14 +50,13 @@ def fast_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
         )
         for trial in trials
     ]
-    freedom = seeds * len(NODES)
-    band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+    band = nees_band(seeds * len(NODES))
     return [
         *(
             Figure(f'1 kHz: RMSE of {name} over the bound', float(value), 1.3, counts)
             for name, value in zip(NODES, over, strict=True)
         ),
-        Figure('1 kHz: NEES', float(np.mean([t.nees for t in trials])), (band[0], band[1]), counts),
+        Figure('1 kHz: NEES', float(np.mean([t.nees for t in trials])), band, counts),
         Figure('1 kHz: false of all that was called identified', share_false(trials), 0.0, counts),
         Figure(
             '1 kHz: L and R not identified and right, share',

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from common.figures import Figure, number, table
 from common.rotor.records import NODES
@@ -14,6 +13,7 @@ from common.rotor.speed_records import ELECTRICAL, SpeedSensor, draw_with_speed
 from common.rotor.trial_tables import (
     WITHIN_STDS,
     false_of_claims,
+    nees_band,
     over_bound,
     share_false,
     share_misfit,
@@ -21,7 +21,6 @@ from common.rotor.trial_tables import (
 )
 from common.rotor.voltages import Drive, one_level, ramps, random_levels, slow_sine, soft_levels
 
-CONFIDENCE = 0.95
 FINE_SENSOR = SpeedSensor('speed with 0.5 % noise', noise=0.005)
 """With it the rotor's own parameters are asked for too."""
 
@@ -62,13 +61,12 @@ def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
         ]
         show(name, trials, ELECTRICAL)
         over = over_bound(trials)
-        freedom = seeds * len(ELECTRICAL)
-        band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+        band = nees_band(seeds * len(ELECTRICAL))
         nees = float(np.mean([trial.nees for trial in trials]))
         figures += [
             Figure(f'{name}: RMSE of inductance over the bound', float(over[0]), 1.5, counts),
             Figure(f'{name}: RMSE of resistance over the bound', float(over[1]), 1.5, counts),
-            Figure(f'{name}: NEES', nees, (band[0], band[1]), counts),
+            Figure(f'{name}: NEES', nees, band, counts),
             Figure(f'{name}: false of all identified', share_false(trials), 0.0, counts),
             Figure(f'{name}: misfit, share', share_misfit(trials), 0.0, counts),
         ]
@@ -166,14 +164,13 @@ def mechanical_figures(seeds: int, length_s: float, *, counts: bool) -> list[Fig
     right = [
         bool((np.abs(trial.z) <= WITHIN_STDS).all() and trial.identified.all()) for trial in trials
     ]
-    freedom = seeds * len(NODES)
-    band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+    band = nees_band(seeds * len(NODES))
     return [
         *(
             Figure(f'{name}: RMSE of {node} over the bound', float(value), 1.3, counts)
             for node, value in zip(NODES, over_bound(trials), strict=True)
         ),
-        Figure(f'{name}: NEES', float(np.mean([t.nees for t in trials])), (band[0], band[1])),
+        Figure(f'{name}: NEES', float(np.mean([t.nees for t in trials])), band),
         Figure(f'{name}: false of all identified', share_false(trials), 0.0, counts),
         Figure(f'{name}: not all identified and right, share', 1.0 - float(np.mean(right)), None),
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from common.figures import number, table
 from common.rotor.choices import Choice
@@ -12,6 +13,7 @@ from common.rotor.records import NODES
 from common.rotor.runs import Trial
 from common.rotor.thesis_sets import ThesisTrial
 
+CONFIDENCE = 0.95
 WITHIN_STDS = 3.0
 
 
@@ -20,6 +22,12 @@ def over_bound(trials: Sequence[Trial]) -> np.ndarray:
     over = np.array([trial.error / trial.bound for trial in trials])
     made: np.ndarray = np.sqrt(np.mean(over**2, axis=0))
     return made
+
+
+def nees_band(values: int) -> tuple[float, float]:
+    """Return between what the mean of so many squared, normalised errors is by chance."""
+    low, high = (float(bound) / values for bound in chi2.interval(CONFIDENCE, values))
+    return low, high
 
 
 def share_false(trials: Sequence[Trial | Choice]) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rotor_motors import BOX, KB, KT, NODES, THETA, content_of, recorded, samples_of
+from rotor_records import STICKY_MOTOR, counted_speed, driven
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
@@ -62,10 +63,7 @@ def late(speed: np.ndarray) -> np.ndarray:
 
 def counted(speed: np.ndarray) -> np.ndarray:
     """Counts of an encoder of 200 lines between two samples of a millisecond."""
-    unit = 2.0 * np.pi / 200
-    angle = np.concatenate([[0.3], 0.3 + np.cumsum(0.5 * (speed[1:] + speed[:-1])) * 1e-3])
-    count = np.floor(angle / unit)
-    return np.diff(count, prepend=count[0]) * unit * 1e3
+    return counted_speed(speed, 200)
 
 
 def filtered(speed: np.ndarray) -> np.ndarray:
@@ -433,11 +431,7 @@ def test_nothing_is_believed_beside_coarse_steps_before_it_was_asked(seed: int) 
     """Of these encoders R was 7 % off, and known to 2 %, after 40 to 80 samples."""
     rate_hz = 100.0
     recording = recorded(duration_s=1.2, seed=seed, rate_hz=rate_hz)
-    speed = recording.speed_rad_s[0]
-    unit_rad = 2.0 * np.pi / 64
-    turned_rad = 0.3 + np.cumsum(0.5 * (speed[1:] + speed[:-1])) / rate_hz
-    count = np.floor(np.concatenate([[0.3], turned_rad]) / unit_rad)
-    read_rad_s = np.diff(count, prepend=count[0]) * unit_rad * rate_hz
+    read_rad_s = counted_speed(recording.speed_rad_s[0], 64, rate_hz)
     samples = [
         sample._replace(speed_rad_s=read_rad_s[k : k + 1])
         for k, sample in enumerate(samples_of(recording))
@@ -717,71 +711,56 @@ def test_where_a_fit_of_all_samples_takes_too_long_the_newest_count(
     assert np.abs(update.theta[0] / TRUTH - 1.0).max() < 0.05
 
 
-STICKY = PlantParameters(
-    inductance=0.011, resistance=5.8, hysteresis=0.0, torque_constant=0.013,
-    back_emf_constant=0.013, inertia=2.1e-6, viscous_friction=6.6e-7, coulomb_friction=1.4e-3,
-)  # fmt: skip
 STICKY_NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+STICKY_KB = {'back_emf_constant': STICKY_MOTOR.back_emf_constant}
+STICKY_BOX = MotorWhiteBox(STICKY_NODES, STICKY_MOTOR.torque_constant, STICKY_KB)
 
 
 def sticky_content(samples: int, counts: int, rate_hz: float = 0.4) -> np.ndarray:
     """Samples of a shaft that begins to turn under 8 V of a slow sine, counted by an encoder."""
-    simulation = Simulation(
-        {'motor': STICKY}, 'external', seed=8, sample_rate_hz=1000.0, torque_noise_std=1.3e-5,
-        speed_mode='rotor',
-    )  # fmt: skip
-    taken = []
-    for k in range(samples):
-        simulation.command('motor', 8.0 * np.sin(2.0 * np.pi * rate_hz * 1e-3 * k))
-        taken.append(simulation.step())
-    volts, torque, speed = (
-        np.array([getattr(one, name)[0] for one in taken])
-        for name in ('voltage_v', 'torque_nm', 'speed_rad_s')
-    )
-    unit_rad = 2.0 * np.pi / counts
-    turned_rad = np.concatenate([[0.0], np.cumsum(0.5e-3 * (speed[1:] + speed[:-1]))])
-    count = np.floor(0.3 + turned_rad / unit_rad)
-    read_rad_s = np.diff(count, prepend=count[0]) * unit_rad / 1e-3
-    interval_s = np.full(samples, 1e-3)
-    interval_s[0] = 0.0
-    before_v = np.concatenate([[0.0], volts[:-1]])
-    return np.stack([interval_s, before_v, torque, read_rad_s])[:, None]
+    voltage_v = 8.0 * np.sin(2.0 * np.pi * rate_hz * 1e-3 * np.arange(samples))
+    recording = driven(STICKY_MOTOR, voltage_v, seed=8, noise_nm=1.3e-5)
+    content = content_of(recording)
+    content[3] = counted_speed(recording.speed_rad_s[0], counts)
+    return content[:, None]
 
 
 @pytest.mark.parametrize(
     ('samples', 'counts', 'rate_hz'),
-    [(160, 64, 0.4), (160, 500, 0.4), (250, 64, 0.4), (250, 500, 0.4), (160, 64, 0.15)],
+    [
+        (160, 64, 0.4),
+        (160, 500, 0.4),
+        (250, 64, 0.4),
+        (250, 500, 0.4),
+        (160, 64, 0.15),  # friction is seen by the torque before the first count alone
+        (170, 64, 0.14),  # and inertia over more samples than 24 alone
+    ],
 )
 def test_a_shaft_that_begins_to_turn_is_found_by_the_counts_of_its_encoder(
     samples: int, counts: int, rate_hz: float
 ) -> None:
     """Another end has a rotor that turns too early, its speed 20 intervals late, R 20 % smaller."""
-    box = MotorWhiteBox(
-        STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
-    )
-    update = output_update.OutputUpdate(box, np.array([[1.5, 3.0, 1e-4, 1e-4, 1e-3]]))
+    update = output_update.OutputUpdate(STICKY_BOX, np.array([[1.5, 3.0, 1e-4, 1e-4, 1e-3]]))
     update.begin_with(sticky_content(samples, counts, rate_hz), 1_000_000 * samples)
     update.begin_fit()
     update.complete()
     assert update.output_fit is not None
-    found = box.values(update.output_fit.fit.theta)
-    assert found['resistance'] == pytest.approx(STICKY.resistance, rel=0.03)
-    assert found['coulomb_friction'] == pytest.approx(STICKY.coulomb_friction, rel=0.1)
+    found = STICKY_BOX.values(update.output_fit.fit.theta)
+    assert found['resistance'] == pytest.approx(STICKY_MOTOR.resistance, rel=0.03)
+    assert found['coulomb_friction'] == pytest.approx(STICKY_MOTOR.coulomb_friction, rel=0.1)
 
 
 def test_a_start_of_a_noisy_speed_has_the_inertia_that_its_noise_would_hide() -> None:
-    box = MotorWhiteBox(
-        STICKY_NODES, STICKY.torque_constant, {'back_emf_constant': STICKY.back_emf_constant}
-    )
-    window = Window.from_samples(box, sticky_content(250, 500)[:, 0], Unknowns(SpeedOutput(1.0)))
-    other = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
-    start = noisy_speed_start(box, window, other, 3.6)
-    plain = speed_start(box, window, other)
+    samples = sticky_content(250, 500)[:, 0]
+    window = Window.from_samples(STICKY_BOX, samples, Unknowns(SpeedOutput(1.0)))
+    other = np.ones(5)
+    start = noisy_speed_start(STICKY_BOX, window, other, 3.6)
+    plain = speed_start(STICKY_BOX, window, other)
     assert start is not None
     assert plain is not None
-    assert start[2] == pytest.approx(STICKY.inertia, rel=0.3)
-    assert start[4] == pytest.approx(STICKY.coulomb_friction, rel=0.3)
-    assert plain[2] < 0.3 * STICKY.inertia
+    assert start[2] == pytest.approx(STICKY_MOTOR.inertia, rel=0.3)
+    assert start[4] == pytest.approx(STICKY_MOTOR.coulomb_friction, rel=0.3)
+    assert plain[2] < 0.3 * STICKY_MOTOR.inertia
 
 
 def test_two_levels_of_a_speed_are_asked_of_no_fit_before_a_thousand_samples() -> None:
@@ -791,12 +770,7 @@ def test_two_levels_of_a_speed_are_asked_of_no_fit_before_a_thousand_samples() -
     for levels in (2, 3):
         content[3, 0, 5] = 0.0 if levels == 2 else 50.0
         update = MeasuredSpeedUpdate(
-            MotorWhiteBox(
-                ('inductance', 'resistance'),
-                STICKY.torque_constant,
-                {'back_emf_constant': STICKY.back_emf_constant},
-                True,
-            ),
+            MotorWhiteBox(STICKY_NODES[:2], STICKY_MOTOR.torque_constant, STICKY_KB, True),
             START, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2)),
         )  # fmt: skip
         update._outputs.begin_with(content[:, :, :900], 0)

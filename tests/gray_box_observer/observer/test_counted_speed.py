@@ -5,33 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rotor_records import GEAR_MOTOR, driven
+from rotor_records import GEAR_MOTOR, STICKY_MOTOR, counted_speed, driven
 
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
-
-STICKY_MOTOR = PlantParameters(
-    inductance=0.011, resistance=5.8, hysteresis=0.0, torque_constant=0.013,
-    back_emf_constant=0.013, inertia=2.1e-6, viscous_friction=6.6e-7, coulomb_friction=1.4e-3,
-)  # fmt: skip
-"""Its shaft begins to turn at 0.6 V."""
 
 
 def sine(samples: int, rate_hz: float) -> NDArray[np.float64]:
     """Return 8 V of a sine at every sample."""
     return 8.0 * np.sin(2.0 * np.pi * rate_hz * 1e-3 * np.arange(samples))
-
-
-def counted(recording: Recording, counts: int) -> NDArray[np.float64]:
-    """Return the speed as an encoder of so many counts a turn has it, shape (k + 1,)."""
-    speed = recording.speed_rad_s[0]
-    unit_rad = 2.0 * np.pi / counts
-    turned_rad = 0.5e-3 * (speed[1:] + speed[:-1])
-    count = np.floor(0.3 + np.concatenate([[0.0], np.cumsum(turned_rad)]) / unit_rad)
-    return np.diff(count, prepend=count[0]) * unit_rad / 1e-3
 
 
 def claims_of(
@@ -47,7 +31,7 @@ def claims_of(
     }
     observer = Observer(Configuration.from_flat({**values, 'predictor': False}))
     claims = []
-    readings = counted(recording, counts).tolist()
+    readings = counted_speed(recording.speed_rad_s[0], counts).tolist()
     for k, stamp in enumerate(recording.stamp_ns.tolist()):
         observer.voltage('motor', stamp, float(recording.voltage_v[0, k]))
         results = observer.torque('motor', stamp, float(recording.torque_nm[0, k]), readings[k])
@@ -71,7 +55,7 @@ def test_along_a_sine_no_resistance_is_sure_and_wrong(counts: int, rate_hz: floa
 def test_before_its_first_counts_an_encoder_tells_no_resistance() -> None:
     """A shaft that has not moved by a count may turn, and its back-EMF look like resistance."""
     voltage_v = sine(300, 0.3)
-    begin = int(np.flatnonzero(counted(driven(STICKY_MOTOR, voltage_v), 8))[0])
+    begin = int(np.flatnonzero(counted_speed(driven(STICKY_MOTOR, voltage_v).speed_rad_s[0], 8))[0])
     assert begin > 60
     assert all(k > begin for k, _, _ in claims_of(STICKY_MOTOR, voltage_v, 8, noise_nm=1.3e-5))
 

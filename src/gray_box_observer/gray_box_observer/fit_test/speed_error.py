@@ -1,9 +1,11 @@
 """What lag and steps of a measured speed would do to an estimate that takes it for exact.
 
-They are looked at before a fit of the whole motor has told what the sensor does. Then a lag of an
-interval is likely, or what acceleration and current leave of it
-(:mod:`~gray_box_observer.fit_test.late_speed`). A reading that is rounded, or counted, is wrong by
-a part of its step, and it stays so for as long as it is the same.
+They are looked at before a fit of the whole motor has told what the sensor does, and by tests for
+as long as the speed is taken for exact. A lag of an interval is likely, or what acceleration and
+current leave of it (:mod:`~gray_box_observer.fit_test.late_speed`).
+
+A reading that is rounded, or counted, is wrong by a part of its step, and it stays so for as long
+as it is the same.
 """
 
 from __future__ import annotations
