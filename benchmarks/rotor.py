@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from common.figures import Figure, figure_table, last_line
+from common.rotor.axis_figures import axis_figures
 from common.rotor.hidden_figures import (
     FLEET_DRAWN,
     QUICK_SEEDS,
@@ -73,12 +74,21 @@ def main() -> int:
     parser.add_argument(
         '--predict', action='store_true', help='only the prediction of robots never seen'
     )
-    parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
+    parser.add_argument(
+        '--axis', action='store_true', help='only the EMPS axis, its mass and frictions'
+    )
+    parser.add_argument('--data', type=Path, help='folder with regbot_rev2b and emps')
     options = parser.parse_args()
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     length_s = QUICK_S if options.quick else LONG_S
     counts = not options.quick
-    drawn = {'encoders': options.seeds or ENCODER_SEEDS, 'fleet': FLEET_DRAWN, 'predict': 1}
+    data = options.data or DEFAULT_DATA
+    drawn = {
+        'encoders': options.seeds or ENCODER_SEEDS,
+        'fleet': FLEET_DRAWN,
+        'predict': 1,
+        'axis': 1,
+    }
     parts: dict[str, Callable[[], list[Figure]]] = {
         'speed': lambda: speed_figures(seeds, length_s, counts=counts),
         'encoders': lambda: encoder_figures(drawn['encoders'], counts=counts),
@@ -86,7 +96,8 @@ def main() -> int:
         'peers': lambda: peer_figures(seeds, length_s, counts=counts),
         'fleet': lambda: fleet_figures(counts=counts),
         'thesis': lambda: thesis_figures(seeds, counts=counts),
-        'predict': lambda: prediction_figures(options.data or DEFAULT_DATA, quick=options.quick),
+        'predict': lambda: prediction_figures(data, quick=options.quick),
+        'axis': lambda: axis_figures(data),
     }
     for part, run_part in parts.items():
         if getattr(options, part):
@@ -105,8 +116,9 @@ def main() -> int:
         *peer_figures(seeds, length_s, counts=counts),
     ]
     try:
-        figures += robot_figures(options.data or DEFAULT_DATA)
-        figures += prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
+        figures += robot_figures(data)
+        figures += prediction_figures(data, quick=options.quick)
+        figures += axis_figures(data)
     except GrayBoxError as error:
         print(f'rotor: error: {" ".join(str(error).split())}', file=sys.stderr)
         return 2

@@ -148,16 +148,16 @@ def real_logs(data: Path) -> Iterator[RealLog]:
         case = replace(step, name='ramp', path=ramp)
         yield RealLog('ramp', case, STEP_TRUTH, speed=True)
         yield RealLog('ramp, no speed', _without_speed(case), STEP_TRUTH, speed=False)
-    emps = data / 'emps' / 'DATA_EMPS.mat'
-    if emps.is_file():
-        yield _emps_log(emps)
+    axis = axis_log(data)
+    if axis.case.path.is_file():
+        yield axis
 
 
-def _emps_log(path: Path) -> RealLog:
+def axis_log(data: Path) -> RealLog:
     """The axis as a motor: mass for L, viscous friction for R, dry friction for a brush drop."""
     case = Case(
         'EMPS axis',
-        path,
+        data / 'emps' / 'DATA_EMPS.mat',
         ('time=t', 'voltage=vir', 'current=speed', f'torque_constant={STEP_TORQUE_CONSTANT}'),
         {
             'motor.torque_constant': STEP_TORQUE_CONSTANT,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.recursive import random_walk
+from gray_box_observer.context_nodes.recursive import block_step, random_walk
 from gray_box_observer.context_nodes.recursive.batch_fit import Fit, batch_fit
 from gray_box_observer.context_nodes.recursive.belief import Belief, Prior
 from gray_box_observer.context_nodes.recursive.change_test import (
@@ -24,9 +24,16 @@ from gray_box_observer.context_nodes.recursive.change_test import (
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied, put
 from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
-from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, SampleWindow
+from gray_box_observer.context_nodes.recursive.statistical_inefficiency import (
+    statistical_inefficiency,
+    without_columns,
+)
+from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, CURRENT, SampleWindow
 from gray_box_observer.samples.order_statistics import distinct
-from gray_box_observer.white_box.interface import Parameter
+from gray_box_observer.white_box.interface import Array, Parameter
+
+FEWEST_BEFORE = 64
+"""Samples before the newest ones that tell, at least, whether neighbours err alike."""
 
 SOON = 1024
 """Samples after which an examination has nothing to do with the one before."""
@@ -81,13 +88,13 @@ class ChangeTracker:
         )
         state.in_vain = np.where(soon, state.in_vain + 1, 0)
         state.examined_at = state.position.copy()
-        penalties = [change.penalty for change in self._changes]
-        pairs = zip(fits, penalties, strict=True)
-        evidence = np.array(
-            [evidence_for(stretch, baseline, fit) - penalty for fit, penalty in pairs]
-        )
-        best = np.argmax(evidence, axis=0)
-        has_changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
+        gain = np.array([evidence_for(stretch, baseline, fit) for fit in fits])
+        penalty = np.array([change.penalty for change in self._changes])[:, None]
+        candidates = (gain - penalty).max(axis=0) > CHANGE_EVIDENCE
+        if candidates.any():
+            gain = gain / self._inefficiency(motors, candidates, samples)
+        best = np.argmax(gain - penalty, axis=0)
+        has_changed = (gain - penalty).max(axis=0) > CHANGE_EVIDENCE
         state.belief = self._back_on_track(belief, baseline.belief, ~has_changed)
         if not np.any(has_changed):
             return
@@ -108,6 +115,39 @@ class ChangeTracker:
         motors.adopt(best_belief, has_jumped)
         state.share = np.where(one, 0.0, state.share)
         state.anchor_here(has_jumped)
+
+    def _inefficiency(
+        self, motors: MotorSelection, selection: NDArray[np.bool_], samples: int
+    ) -> Array:
+        """Return how many samples count for one, shape (motor,), by those before the newest ones.
+
+        Parameters that are off are none of it: what they explain is taken off. A motor may have
+        changed before the newest samples, too: the half that errs less alike counts.
+        """
+        inefficiency = np.ones(motors.state.motors)
+        length = motors.remembered
+        selection = selection & (length > samples + FEWEST_BEFORE)
+        for all_samples in distinct(length[selection]).tolist():
+            index = np.flatnonzero(selection & (length == all_samples))
+            part = motors.part(index)
+            stretch = part.newest(all_samples)
+            belief = part.state.belief.restarted_at(stretch.state[:, 0])
+            block = block_step.predict(part.white_box, belief, stretch)
+            residual = np.where(block.is_inlier, block.residual, 0.0)[:, :-samples]
+            jacobian = np.where(block.is_inlier[..., None], block.jacobian, 0.0)[:, :-samples]
+            middle = residual.shape[1] // 2
+            of_halves = [
+                statistical_inefficiency(self._unexplained(residual[:, half], jacobian[:, half]))
+                for half in (slice(middle), slice(middle, None))
+            ]
+            inefficiency[index] = np.minimum(*of_halves)
+        return inefficiency
+
+    def _unexplained(self, residual: Array, jacobian: Array) -> Array:
+        """Return what neither other unknowns nor a steady climb of what heats explain."""
+        time = np.linspace(-1.0, 1.0, residual.shape[1])[:, None]
+        climb = jacobian[..., COORDINATES][..., self._heats > 0.0] * time
+        return without_columns(residual, np.concatenate([jacobian, climb], axis=2))
 
     def walk_again(self, motors: MotorSelection, samples: int = 0) -> None:
         """Ask motors that drift how fast they do, by the samples since their anchor."""
