@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from gray_box_observer.context_nodes.estimate import Estimate
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
@@ -48,13 +49,7 @@ class Record:
         self, lost: Collection[int] = (), stamp_step_s: float = 1e-9, **motor: object
     ) -> Observer:
         """Return an observer that has learnt the record, but for voltages that were lost."""
-        values = {
-            'torque_constant': TORQUE_CONSTANT,
-            'back_emf_constant': 1e-6,
-            'context_nodes': list(NODES),
-        }
-        own = {f'motor.{name}': value for name, value in {**values, **motor}.items()}
-        observer = Observer(Configuration.from_flat({'predictor': False, **own}))
+        observer = _observer(motor)
         for sample, (voltage_v, current_a) in enumerate(
             zip(self.voltage_v, self.current_a, strict=True)
         ):
@@ -64,6 +59,29 @@ class Record:
             observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
         observer.flush()
         return observer
+
+    def estimates(self, **motor: object) -> Iterator[Estimate]:
+        """Return every estimate of an observer that learns the record."""
+        observer = _observer(motor)
+        for sample, (voltage_v, current_a) in enumerate(
+            zip(self.voltage_v, self.current_a, strict=True)
+        ):
+            stamp_ns = round(sample * INTERVAL_S * 1e9)
+            observer.voltage('motor', stamp_ns, float(voltage_v))
+            for result in observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a)):
+                if result.estimate is not None:
+                    yield result.estimate
+
+
+def _observer(motor: Mapping[str, object]) -> Observer:
+    """Return an observer of a motor, with parameters of it besides the usual ones."""
+    values = {
+        'torque_constant': TORQUE_CONSTANT,
+        'back_emf_constant': 1e-6,
+        'context_nodes': list(NODES),
+    }
+    own = {f'motor.{name}': value for name, value in {**values, **motor}.items()}
+    return Observer(Configuration.from_flat({'predictor': False, **own}))
 
 
 def steps(samples: int, seed: int, low_v: float = -12.0, high_v: float = 12.0) -> Floats:

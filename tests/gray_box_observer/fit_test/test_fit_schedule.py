@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gray_box_observer.fit_test.fit_result import PASSING, FitResult
 from gray_box_observer.fit_test.fit_schedule import (
     LONGEST_SOON,
     RECENT_WAIT,
+    SHORT,
     SHORTEST_WAIT,
     UNASKED,
     FitSchedule,
@@ -228,3 +230,17 @@ def test_a_checkpoint_with_an_absurd_test_is_refused(
     check_saved_test(plain, 2)
     with pytest.raises(CheckpointError, match=culprit):
         check_saved_test({**plain, name: absurd}, 2)
+
+
+@pytest.mark.parametrize(
+    ('shift', 'wait', 'waits_for_it'),
+    [(0.0, SHORT, False), (0.002, SHORT, False), (0.01, SHORT, True), (0.01, 2 * SHORT, False)],
+)
+def test_an_estimate_waits_for_a_short_test_by_which_a_doubt_may_go(
+    schedule: FitSchedule, shift: float, wait: int, waits_for_it: bool
+) -> None:
+    result = result_at(FEWEST, FitVerdict.OK, wait)
+    spread = np.diag([0.0, shift**2])
+    schedule.follow(0, replace(result, judgement=Judgement(FitVerdict.OK, np.ones(2), spread)))
+    assert schedule.is_urgent(0) == waits_for_it
+    assert schedule.is_settled(estimate_of(1)) != waits_for_it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from linear_motor_records import (
+    RESISTANCE_OHM,
     TRUTH,
     WHITE_BOX,
     Floats,
@@ -15,10 +16,14 @@ from linear_motor_records import (
     steps,
 )
 
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test.free_run import free_run
 from gray_box_observer.fit_test.hidden_rotor import ODDS, hidden_rotor_doubts
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.flow import swapped_logarithms
 
 SAMPLES = 200
@@ -74,6 +79,35 @@ def test_under_a_noisy_voltage_that_is_held_a_rotor_that_runs_up_is_no_resistanc
     observer = Record(measured_v[800:], current_a[800:]).observed(back_emf_constant=0.02)
     estimate = observer.estimates()['motor']
     assert Verdict.IDENTIFIED not in estimate.verdicts[0]
+
+
+@pytest.mark.parametrize('seed', [2, 19])
+def test_a_current_that_is_held_goes_on_telling_that_no_rotor_turns(seed: int) -> None:
+    """One voltage from rest on; of a rotor in doubt the current would fall."""
+    simulation = Simulation(
+        {'motor': PlantParameters()}, 'R[14,14]D[9,9]', seed=seed, torque_noise_std=1.1e-4
+    )
+    record = simulation.record(3.0)
+    observer = Observer(
+        Configuration.from_flat({'motor.torque_constant': 0.01, 'motor.back_emf_constant': 0.01}),
+        None,
+    )
+    for k, stamp_ns in enumerate(record.stamp_ns.tolist()):
+        observer.voltage('motor', stamp_ns, float(record.voltage_v[0, k]))
+        observer.torque('motor', stamp_ns, float(record.torque_nm[0, k]))
+    assert set(observer.estimates()['motor'].verdicts[0]) == {Verdict.IDENTIFIED}
+
+
+@pytest.mark.parametrize('runs_up_s', [0.2, 1.5, 6.0])
+def test_a_rotor_that_runs_up_under_a_held_voltage_is_never_a_sure_resistance(
+    runs_up_s: float,
+) -> None:
+    voltage_v = np.full(3000, 6.0)
+    for seed in range(4):
+        current_a = current_of_free_rotor(voltage_v, runs_up_s) + noise(3000, NOISE_A, seed)
+        for estimate in Record(voltage_v, current_a).estimates(back_emf_constant=0.02):
+            if estimate.verdicts[0][1] is Verdict.IDENTIFIED:
+                assert estimate.value[0, 1] == pytest.approx(RESISTANCE_OHM, rel=0.02)
 
 
 def test_the_odds_follow_what_the_data_tell() -> None:

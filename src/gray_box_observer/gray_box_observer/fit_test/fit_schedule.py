@@ -29,6 +29,10 @@ RECENT_WAIT = 256
 LONGEST_SOON = 512
 """Samples between two tests, at most, of a motor that does not fit and has become another one."""
 
+SHORT = 128
+"""Samples up to which a test is short enough for an estimate to wait for it, where a doubt of the
+test before may go."""
+
 UNASKED = 128
 """Samples after which a motor is tested though nothing of it would be called identified."""
 
@@ -108,6 +112,7 @@ class FitSchedule:
         self._highest = np.full((count, parameters), np.nan)
         self._has_result = np.zeros(count, dtype=bool)
         self._has_passed = np.zeros(count, dtype=bool)
+        self._is_doubted = np.zeros(count, dtype=bool)
         self._movers: frozenset[int] = frozenset()
         self._calm_ranges = [self._calm_range(motor) for motor in range(count)]
 
@@ -172,7 +177,8 @@ class FitSchedule:
             estimate: of the motor; what is believed of it is what was tested.
         """
         calm_range = self._calm_ranges[0]
-        return calm_range.has_passed and calm_range.covers(estimate)
+        is_believed = calm_range.has_passed and not self._is_doubted[0]
+        return is_believed and calm_range.covers(estimate)
 
     def covers(self, motor: int, estimate: Estimate) -> bool:
         """Tell whether a motor is the one that was tested.
@@ -188,8 +194,9 @@ class FitSchedule:
         return motor in self._movers
 
     def is_urgent(self, motor: int) -> bool:
-        """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
-        return motor in self._movers or not self._has_passed[motor]
+        """Tell whether the estimate awaits a test, by which more of the motor may be believed."""
+        is_believed = self._has_passed[motor] and not self._is_doubted[motor]
+        return motor in self._movers or not is_believed
 
     def is_stale(self, replay: ReplayBuffer, motor: int) -> bool:
         """Tell whether a motor with a rotor is to be tested by its newest samples.
@@ -242,6 +249,7 @@ class FitSchedule:
         self._highest[motor] = result.theta * math.exp(MOVED)
         self._has_result[motor] = True
         self._has_passed[motor] = result.assessment.verdict is not FitVerdict.MISFIT
+        self._is_doubted[motor] = result.judgement.shifts_noticeably and result.wait <= SHORT
         self._calm_ranges[motor] = self._calm_range(motor)
 
     def forget(self, motors: Any = slice(None)) -> None:
@@ -250,7 +258,7 @@ class FitSchedule:
         self._soon[motors] = self._begin[motors] = NEVER
         self._tested_at[motors] = 0
         self._lowest[motors] = self._highest[motors] = np.nan
-        self._has_result[motors] = self._has_passed[motors] = False
+        self._has_result[motors] = self._has_passed[motors] = self._is_doubted[motors] = False
         for motor in np.arange(self._due.size)[motors].ravel().tolist():
             self._calm_ranges[motor] = self._calm_range(motor)
 

@@ -165,6 +165,11 @@ class Judgement:
         """Whether an estimate knows less than its rule says."""
         return bool((self.factor > 1.0).any() or self.spread.any())
 
+    @property
+    def shifts_noticeably(self) -> bool:
+        """Whether what comes on top may keep a parameter from being identified."""
+        return bool((np.diagonal(self.spread) > NOTICEABLE**2).any())
+
     @cached_property
     def factors(self) -> Array:
         """By which covariances grow, shape (parameter, parameter)."""

@@ -164,13 +164,17 @@ class WindowTest:
         """Tell whether so many newest samples tell something: the voltage moves among them.
 
         A first test may do without, where it can be passed. Of a rotor that has settled, and nobody
-        measures, the resistance tells nothing: only a transient counts.
+        measures, the resistance tells nothing: only a transient counts. A rotor that was in doubt
+        since then would have gone on turning faster: the current tells as long as it is held.
         """
-        if not is_held(motor.newest(count)[VOLTAGE, 0]):
+        samples = motor.newest(count)[:, 0]
+        if not is_held(samples[VOLTAGE]):
             return True
         hopeful = Verdict.IDENTIFIED in motor.estimate.verdicts[0]
-        is_first = motor.before is None and hopeful
-        return is_first and (self._knows_speed or _knows_inductance(motor.estimate))
+        if motor.before is None:
+            return hopeful and (self._knows_speed or _knows_inductance(motor.estimate))
+        doubts_rotor = self._speed_is_guess and motor.before.judgement.shifts_noticeably
+        return hopeful and doubts_rotor and _rises_and_stays(samples[TORQUE])
 
     def test(self, motor: MotorUnderTest, count: int) -> FitResult:
         """Test so many newest samples, at once."""
