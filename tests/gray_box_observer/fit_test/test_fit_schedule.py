@@ -220,6 +220,8 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
         ('evidence', [], 'evidence'),
         ('begin', 1.5, 'begin'),
         ('present_since', 'now', 'present_since'),
+        ('untested_spread', [[1.0]], 'untested_spread'),
+        ('untested_spread', [[1.0, 2.0], [2.0, 1.0]], 'untested_spread'),
     ],
 )
 def test_a_checkpoint_with_an_absurd_test_is_refused(

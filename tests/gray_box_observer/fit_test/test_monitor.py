@@ -156,13 +156,32 @@ def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
 def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
     """A constant voltage tells resistance and back-EMF together; they cannot be separated."""
     current_a = np.full(4000, 0.3)  # of 3 A at stall
-    settled = (
-        Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
-    )
-    assert (
-        settled.estimate.std[0, 1] < 0.01 * settled.estimate.value[0, 1]
-    )  # sharp, and ten times too large
-    assert Verdict.IDENTIFIED not in settled.estimate.verdicts[0]
+    observer = Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed()
+    settled = observer.motors['motor']
+    assert settled.fit.verdict is FitVerdict.UNTESTED
+    value, std = settled.estimate.value[0, 1], settled.estimate.std[0, 1]
+    assert value == pytest.approx(20.0, rel=0.01), 'ten times too large'
+    assert std > value
+    assert settled.estimate.verdicts[0][1] is Verdict.UNEXCITED
+
+
+def test_what_is_open_of_a_motor_that_cannot_be_tested_survives_a_checkpoint(
+    tmp_path: Path,
+) -> None:
+    """So it is where the speed is a guess, and not where it is said to be Kt i."""
+    current_a = np.full(1000, 0.3) + noise(1000, 0.01, 3)
+    record = Record(np.full(1000, 6.0), current_a)
+    observer = record.observed()
+    before = observer.estimates()['motor']
+    path = tmp_path / 'motor.safetensors'
+    checkpoint.write(checkpoint.capture(observer), path)
+    restored = Observer(observer.configuration)
+    checkpoint.load(restored, path)
+    after = restored.estimates()['motor']
+    np.testing.assert_array_equal(after.std, before.std)
+    assert after.verdicts == before.verdicts
+    stated = record.observed(speed_source='torque_constant').estimates()['motor']
+    assert stated.std[0, 1] < 0.01 * stated.value[0, 1]
 
 
 @pytest.mark.slow

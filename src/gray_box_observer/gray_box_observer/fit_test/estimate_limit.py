@@ -29,6 +29,7 @@ class EstimateLimit:
         parameters: of the motor.
         result: of its newest test; None: it was never tested, and nothing of it is identified.
         open_parameters: which are not to be identified, though all fits.
+        untested: what follows without a test, of samples that no test can be made of.
 
     Attributes:
         widens: whether covariances grow.
@@ -41,20 +42,22 @@ class EstimateLimit:
         result: FitResult | None,
         *,
         open_parameters: Collection[str] = (),
+        untested: Judgement | None = None,
     ) -> None:
         self._parameters = parameters
         names = [parameter.name for parameter in parameters]
         self._is_open = [result is None or name in open_parameters for name in names]
         self._is_misfit = result is not None and result.assessment.verdict is FitVerdict.MISFIT
         self._judgement: Judgement | None = None
-        if result is not None and result.judgement.widens:
-            self._judgement = result.judgement
+        judgement = untested if result is None else result.judgement
+        if judgement is not None and judgement.widens:
+            self._judgement = judgement
             self._native = WidenedEstimate(
                 parameters,
-                self._judgement.factor,
-                self._judgement.factors,
-                self._judgement.spread,
-                self._judgement.furthest,
+                judgement.factor,
+                judgement.factors,
+                judgement.spread,
+                judgement.furthest,
             )
         self.widens = self._judgement is not None
         self.is_open = not (any(self._is_open) or self._is_misfit or self.widens)

@@ -23,6 +23,7 @@ from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.fit_test.fit_schedule import SHORTEST_WAIT, FitSchedule
 from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.fit_test.noise_alone import leaves_noise_alone
+from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.fit_test.saved_test import check_saved_result, check_saved_test
 from gray_box_observer.fit_test.speed_basis import SpeedBasis
 from gray_box_observer.fit_test.window_test import RECENT, WindowTest
@@ -58,6 +59,7 @@ class FitMonitor:
             for motor, white_box in zip(motors, white_boxes, strict=True)
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
+        self._untested: list[Judgement | None] = [None] * len(motors)
         self._assessments = [_UNTESTED] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
         self._withheld_motors: set[int] = set()  # changed since they passed; not tested yet
@@ -108,6 +110,8 @@ class FitMonitor:
         wait = test.fewest - count if count < test.fewest else SHORTEST_WAIT
         if count < test.fewest or not test.can_tell(subject, count):
             self.schedule.put_off(motor, subject.place + wait)
+            if count >= test.fewest and self._results[motor] is None:
+                self._keep(motor, None, test.without_test(subject, count))
             self._doubt_another(motor, estimate)
             return None
         return test.pieces(subject.snapshot(), count)
@@ -178,9 +182,12 @@ class FitMonitor:
         self._keep(motor, result)
         self.schedule.follow(motor, result)
 
-    def _keep(self, motor: int, result: FitResult | None) -> None:
-        """Keep what a test has left, and how far that limits estimates."""
+    def _keep(
+        self, motor: int, result: FitResult | None, untested: Judgement | None = None
+    ) -> None:
+        """Keep what a test has left, or what follows without one, and how that limits estimates."""
         self._results[motor] = result
+        self._untested[motor] = untested
         self._withheld_motors.discard(motor)
         parameters = self._tests[motor].white_box.parameters
         names = [parameter.name for parameter in parameters]
@@ -190,7 +197,7 @@ class FitMonitor:
             withheld = self._basis.withheld(result.assessment, names)
             self._assessments[motor] = replace(result.assessment, withheld=withheld)
         open_names = () if withheld is None else withheld.names
-        limit = EstimateLimit(parameters, result, open_parameters=open_names)
+        limit = EstimateLimit(parameters, result, open_parameters=open_names, untested=untested)
         if limit.is_open:
             self._limits.pop(motor, None)
         else:
@@ -244,7 +251,10 @@ class FitMonitor:
         saved_result = {} if result is None else result.state(received_count)
         later = {} if later_result is None else {'later': later_result.state(received_count)}
         withheld = {'is_withheld': True} if motor in self._withheld_motors else {}
-        return {**self.schedule.state(motor, received_count), **saved_result, **withheld, **later}
+        judgement = self._untested[motor]
+        untested = {} if judgement is None else {'untested_spread': judgement.spread.tolist()}
+        saved_schedule = self.schedule.state(motor, received_count)
+        return {**saved_schedule, **saved_result, **withheld, **untested, **later}
 
     def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> FitResult | None:
         """Take back what :meth:`state` gave; return the result that does not count yet.
@@ -261,7 +271,11 @@ class FitMonitor:
             later_result = FitResult.restored(saved_result, received_count)
         has_result = 'assessment' in plain
         result = FitResult.restored(plain, received_count) if has_result else None
-        self._keep(motor, result)
+        untested = None
+        if 'untested_spread' in plain and not has_result:
+            spread = np.array(plain['untested_spread'])
+            untested = Judgement(FitVerdict.UNTESTED, np.ones(parameters), spread)
+        self._keep(motor, result, untested)
         if plain.get('is_withheld', False):
             self.withhold(motor)
         self.schedule.restore(plain, motor, received_count, result)

@@ -62,6 +62,9 @@ def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
         whole(plain, 'tested_at', -MOST, MOST_AHEAD)
     if 'is_withheld' in plain:
         flag(plain, 'is_withheld')
+    if 'untested_spread' in plain:
+        spread = numbers(plain, 'untested_spread', ArrayRule((parameters, parameters)))
+        check_covariance('fit.untested_spread', spread)
     if 'assessment' in plain:
         check_saved_result(plain, parameters)
 

@@ -176,6 +176,14 @@ class WindowTest:
         doubts_rotor = self._speed_is_guess and motor.before.judgement.shifts_noticeably
         return hopeful and doubts_rotor and _rises_and_stays(samples[TORQUE])
 
+    def without_test(self, motor: MotorUnderTest, count: int) -> Judgement:
+        """Return what follows for an estimate by so many newest samples that tell nothing."""
+        theta = motor.estimate.value[0]
+        open_fit = Judgement(
+            FitVerdict.UNTESTED, np.ones(theta.size), np.zeros((theta.size, theta.size))
+        )
+        return self._without_seen_rotor(open_fit, theta, motor.newest(count)[:, 0])
+
     def test(self, motor: MotorUnderTest, count: int) -> FitResult:
         """Test so many newest samples, at once."""
         return completed(self.pieces(motor, count))
