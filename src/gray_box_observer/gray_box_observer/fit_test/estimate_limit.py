@@ -29,7 +29,7 @@ class EstimateLimit:
         parameters: of the motor.
         result: of its newest test; None: it was never tested, and nothing of it is identified.
         open_parameters: which are not to be identified, though all fits.
-        untested: what follows without a test, of samples that no test can be made of.
+        without_test: what follows without a test, of samples that no test can be made of.
 
     Attributes:
         widens: whether covariances grow.
@@ -42,14 +42,14 @@ class EstimateLimit:
         result: FitResult | None,
         *,
         open_parameters: Collection[str] = (),
-        untested: Judgement | None = None,
+        without_test: Judgement | None = None,
     ) -> None:
         self._parameters = parameters
         names = [parameter.name for parameter in parameters]
         self._is_open = [result is None or name in open_parameters for name in names]
         self._is_misfit = result is not None and result.assessment.verdict is FitVerdict.MISFIT
         self._judgement: Judgement | None = None
-        judgement = untested if result is None else result.judgement
+        judgement = without_test if result is None else result.judgement
         if judgement is not None and judgement.widens:
             self._judgement = judgement
             self._native = WidenedEstimate(

@@ -59,7 +59,7 @@ class FitMonitor:
             for motor, white_box in zip(motors, white_boxes, strict=True)
         ]
         self._results: list[FitResult | None] = [None] * len(motors)
-        self._untested: list[Judgement | None] = [None] * len(motors)
+        self._without_tests: list[Judgement | None] = [None] * len(motors)
         self._assessments = [_UNTESTED] * len(motors)
         self._limits: dict[int, EstimateLimit] = {}
         self._withheld_motors: set[int] = set()  # changed since they passed; not tested yet
@@ -183,11 +183,11 @@ class FitMonitor:
         self.schedule.follow(motor, result)
 
     def _keep(
-        self, motor: int, result: FitResult | None, untested: Judgement | None = None
+        self, motor: int, result: FitResult | None, without_test: Judgement | None = None
     ) -> None:
         """Keep what a test has left, or what follows without one, and how that limits estimates."""
         self._results[motor] = result
-        self._untested[motor] = untested
+        self._without_tests[motor] = without_test
         self._withheld_motors.discard(motor)
         parameters = self._tests[motor].white_box.parameters
         names = [parameter.name for parameter in parameters]
@@ -197,7 +197,9 @@ class FitMonitor:
             withheld = self._basis.withheld(result.assessment, names)
             self._assessments[motor] = replace(result.assessment, withheld=withheld)
         open_names = () if withheld is None else withheld.names
-        limit = EstimateLimit(parameters, result, open_parameters=open_names, untested=untested)
+        limit = EstimateLimit(
+            parameters, result, open_parameters=open_names, without_test=without_test
+        )
         if limit.is_open:
             self._limits.pop(motor, None)
         else:
@@ -251,10 +253,10 @@ class FitMonitor:
         saved_result = {} if result is None else result.state(received_count)
         later = {} if later_result is None else {'later': later_result.state(received_count)}
         withheld = {'is_withheld': True} if motor in self._withheld_motors else {}
-        judgement = self._untested[motor]
-        untested = {} if judgement is None else {'untested_spread': judgement.spread.tolist()}
+        judgement = self._without_tests[motor]
+        open_fit = {} if judgement is None else {'untested_spread': judgement.spread.tolist()}
         saved_schedule = self.schedule.state(motor, received_count)
-        return {**saved_schedule, **saved_result, **withheld, **untested, **later}
+        return {**saved_schedule, **saved_result, **withheld, **open_fit, **later}
 
     def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> FitResult | None:
         """Take back what :meth:`state` gave; return the result that does not count yet.
@@ -271,11 +273,11 @@ class FitMonitor:
             later_result = FitResult.restored(saved_result, received_count)
         has_result = 'assessment' in plain
         result = FitResult.restored(plain, received_count) if has_result else None
-        untested = None
+        without_test = None
         if 'untested_spread' in plain and not has_result:
             spread = np.array(plain['untested_spread'])
-            untested = Judgement(FitVerdict.UNTESTED, np.ones(parameters), spread)
-        self._keep(motor, result, untested)
+            without_test = Judgement(FitVerdict.UNTESTED, np.ones(parameters), spread)
+        self._keep(motor, result, without_test)
         if plain.get('is_withheld', False):
             self.withhold(motor)
         self.schedule.restore(plain, motor, received_count, result)
