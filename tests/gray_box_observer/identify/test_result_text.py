@@ -53,6 +53,22 @@ def test_the_columns_of_a_motor_stand_below_each_other() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ('fit', 'percent', 'is_told'),
+    [
+        (FitVerdict.OK, -9.0, True),
+        (FitVerdict.OK, 60.0, False),
+        (FitVerdict.MISFIT, -9.0, False),
+    ],
+)
+def test_a_poor_free_run_of_what_is_explained_is_told_to_be_noise(
+    fit: FitVerdict, percent: float, is_told: bool
+) -> None:
+    line = text_of(fit, fit_percent=percent)[1]
+    assert f'fit of the free run {percent:.2f} %' in line
+    assert ('noise' in line) is is_told
+
+
 def test_what_is_scored_stands_in_columns_with_its_unit() -> None:
     score = {'rmse': 0.00123, 'nmae': 0.05, 'fit_percent': 98.0}
     validation = {'bag': 'b', 'samples': 9, 'white_box': score, 'persistence': score}

@@ -21,6 +21,9 @@ COLOURS = {
 
 _PLAIN = '\033[0m'
 
+NOISY_PERCENT = 50.0
+"""Fit of the free run below which noise is much of the torque, where the residual is noise alone."""
+
 SCORED = {
     'predictor': 'predictor',
     'white_box': 'white box alone',
@@ -56,8 +59,7 @@ def write_text(
     for name, fit in fits.items():
         print(fit_line(name, fit, has_colour=has_colour), file=stream)
     for name, motor in result['motors'].items():
-        fit_text = words_of(motor['fit_percent'], '.2f')
-        fit_part = f', fit of the free run {fit_text} %' if motor['fit_percent'] is not None else ''
+        fit_part = _free_run_words(motor['fit_percent'], fits.get(name))
         print(
             f'{printable(name)}: {motor["samples"]} samples in {motor["duration_s"]:.1f} '
             f's{fit_part}',
@@ -72,6 +74,17 @@ def write_text(
     place = place_of_parameters(remedies)
     if place is not None:
         print(printable(place), file=stream)
+
+
+def _free_run_words(fit_percent: float | None, fit: FitAssessment | None) -> str:
+    """Say how much of the torque the free run follows, and why little where nothing is wrong."""
+    if fit_percent is None:
+        return ''
+    words = f', fit of the free run {words_of(fit_percent, ".2f")} %'
+    is_explained = fit is not None and fit.verdict is FitVerdict.OK
+    if is_explained and fit_percent < NOISY_PERCENT:
+        words += ' (little: much of what the torque moves is noise)'
+    return words
 
 
 def parameter_cells(name: str, value: float | None, std: float | None, unit: str) -> list[str]:
