@@ -31,14 +31,16 @@ def value(text: str, **given: float) -> float:
         ('duty[mA] + battery[rpm]', 0.5e-3 + 12.0 * 2.0 * math.pi / 60.0),
         ('battery / duty[ms]', 12.0 / 0.5e-3),
         ('\'duty\' * "battery"', 6.0),
+        ('duty * 2 * pi / 2000', math.pi / 2000.0),
+        ('duty * \'pi\'', 1.5),
     ],
 )
 def test_an_expression_has_the_value_of_its_arithmetic(text: str, expected: float) -> None:
-    assert value(text, duty=0.5, battery=12.0) == pytest.approx(expected, rel=1e-9)
+    assert value(text, duty=0.5, battery=12.0, pi=3.0) == pytest.approx(expected, rel=1e-9)
 
 
 def test_names_stand_in_their_order_and_once() -> None:
-    assert Formula("b*a + b - 'i [A]' + $3").names == ('b', 'a', 'i [A]', 3)
+    assert Formula("pi*b*a + b - 'i [A]' + $3").names == ('b', 'a', 'i [A]', 3)
 
 
 def test_every_rate_of_change_has_a_number_of_its_own() -> None:

@@ -1,7 +1,7 @@
 """Expressions such as ``duty/32767*(va-vb)*2.466e-3``: a whitelist, never evaluated as Python.
 
-Allowed are numbers, names, names in quotes, ``$N`` (a column), ``+ - * /``, parentheses, ``abs``,
-``sign``, ``diff``, ``unsmoothed``, a unit in brackets behind a quantity (``current[mA]``), and in a
+Allowed are numbers, ``pi``, names, names in quotes, ``$N`` (a column), ``+ - * /``, parentheses,
+``abs``, ``sign``, ``diff``, ``unsmoothed``, a unit in brackets behind a quantity (``current[mA]``), and in a
 condition ``== != < <= > >= and or not``.
 """
 
@@ -43,6 +43,9 @@ class Past(NamedTuple):
 
 
 FUNCTIONS = ('abs', 'sign', 'diff', 'unsmoothed')
+
+CONSTANTS = {'pi': math.pi}
+"""By name; a quantity of the same name stands in quotes."""
 
 LOST = 1.5
 """Times the usual interval, from which one has lost a value: a moving average knows that one, and
@@ -169,6 +172,9 @@ class Formula:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 constant = self._number(number)
                 return lambda values, past: constant
+            case ast.Name(id=name) if name in CONSTANTS:
+                known_number = CONSTANTS[name]
+                return lambda values, past: known_number
             case ast.Name(id=name) if name not in FUNCTIONS:
                 return self._quantity(name)
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]):
@@ -266,7 +272,7 @@ class Formula:
         is_condition = len(self._operators) > len(_ARITHMETIC)
         comparisons = ' and comparisons' if is_condition else ''
         return ExpressionError(
-            f'{brief(self.text)} is not allowed; expected names, numbers, + - * / ( ), '
+            f'{brief(self.text)} is not allowed; expected names, numbers, pi, + - * / ( ), '
             f'{", ".join(FUNCTIONS)}{comparisons}'
         )
 
