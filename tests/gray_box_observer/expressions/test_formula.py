@@ -32,7 +32,7 @@ def value(text: str, **given: float) -> float:
         ('battery / duty[ms]', 12.0 / 0.5e-3),
         ('\'duty\' * "battery"', 6.0),
         ('duty * 2 * pi / 2000', math.pi / 2000.0),
-        ('duty * \'pi\'', 1.5),
+        ("duty * 'pi'", 1.5),
     ],
 )
 def test_an_expression_has_the_value_of_its_arithmetic(text: str, expected: float) -> None:

@@ -1,8 +1,8 @@
 """Expressions such as ``duty/32767*(va-vb)*2.466e-3``: a whitelist, never evaluated as Python.
 
 Allowed are numbers, ``pi``, names, names in quotes, ``$N`` (a column), ``+ - * /``, parentheses,
-``abs``, ``sign``, ``diff``, ``unsmoothed``, a unit in brackets behind a quantity (``current[mA]``), and in a
-condition ``== != < <= > >= and or not``.
+``abs``, ``sign``, ``diff``, ``unsmoothed``, a unit in brackets behind a quantity
+(``current[mA]``), and in a condition ``== != < <= > >= and or not``.
 """
 
 from __future__ import annotations

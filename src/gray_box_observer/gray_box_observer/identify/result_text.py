@@ -22,7 +22,7 @@ COLOURS = {
 _PLAIN = '\033[0m'
 
 NOISY_PERCENT = 50.0
-"""Fit of the free run below which noise is much of the torque, where the residual is noise alone."""
+"""Fit of a free run that leaves noise alone, below which noise is much of the torque."""
 
 SCORED = {
     'predictor': 'predictor',
