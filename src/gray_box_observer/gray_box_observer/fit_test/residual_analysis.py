@@ -314,7 +314,11 @@ def analysis_in_pieces(
                 *friction_doubts(white_box, run, theta),
                 *late_speed_doubts(white_box, run, theta),
                 *lag_doubts(run, lag),
-                *(hidden_rotor_doubts(run) if speed_is_guess else ()),
+                *(
+                    hidden_rotor_doubts(white_box, run, theta, projection.white_std(noise_a)[0])
+                    if speed_is_guess
+                    else ()
+                ),
             )
         ),
     ]
