@@ -117,3 +117,11 @@ def test_of_very_many_columns_of_one_name_one_short_line_offers_some():
     with pytest.raises(BagError, match=r'write \$1 or .* or another one$') as caught:
         Expression('a', ('a',) * 500, 500)
     assert len(str(caught.value)) < 200
+
+
+def test_a_column_of_the_name_of_a_constant_stands_in_quotes():
+    with pytest.raises(BagError, match="write 'pi' in quotes for the column"):
+        Expression('2*pi*u', ['t', 'pi', 'u'], 3)
+    table = {2: np.array([1.5]), 3: np.array([2.0])}
+    assert Expression("2*'pi'*u", ['t', 'pi', 'u'], 3)(table) == [6.0]
+    assert Expression('pi', ['t', 'pi'], 2)({2: np.array([1.5])}) == [1.5], 'a whole name'

@@ -531,6 +531,10 @@ def test_the_steps_of_an_encoder_are_told_as_the_noise_of_its_speed(tmp_path):
     options = ('time=t', 'voltage=u', 'torque=m')
     (warning,) = warnings(tmp_path, text, *options, 'speed=diff(coarse)')
     assert 'steps of 0.0982: its noise is about 4 rad/s' in warning
+    in_turns = tmp_path / 'turns'
+    in_turns.mkdir()
+    (warning,) = warnings(in_turns, text, *options, 'speed=diff(coarse)*2*pi/64')
+    assert 'steps of 0.0982: its noise is about 0.39 rad/s' in warning
     smooth = tmp_path / 'smooth'
     smooth.mkdir()
     assert warnings(smooth, text, *options, 'speed=diff(fine)') == []

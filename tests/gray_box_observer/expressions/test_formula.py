@@ -39,6 +39,11 @@ def test_an_expression_has_the_value_of_its_arithmetic(text: str, expected: floa
     assert value(text, duty=0.5, battery=12.0, pi=3.0) == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_constant_has_no_unit() -> None:
+    with pytest.raises(ExpressionError, match='is not allowed'):
+        Formula('pi[mA]')
+
+
 def test_names_stand_in_their_order_and_once() -> None:
     assert Formula("pi*b*a + b - 'i [A]' + $3").names == ('b', 'a', 'i [A]', 3)
 

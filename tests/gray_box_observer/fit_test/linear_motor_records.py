@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from gray_box_observer.context_nodes.estimate import Estimate
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
@@ -59,18 +58,6 @@ class Record:
             observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
         observer.flush()
         return observer
-
-    def estimates(self, **motor: object) -> Iterator[Estimate]:
-        """Return every estimate of an observer that learns the record."""
-        observer = _observer(motor)
-        for sample, (voltage_v, current_a) in enumerate(
-            zip(self.voltage_v, self.current_a, strict=True)
-        ):
-            stamp_ns = round(sample * INTERVAL_S * 1e9)
-            observer.voltage('motor', stamp_ns, float(voltage_v))
-            for result in observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a)):
-                if result.estimate is not None:
-                    yield result.estimate
 
 
 def _observer(motor: Mapping[str, object]) -> Observer:

@@ -222,6 +222,9 @@ def test_a_test_that_stands_ahead_of_what_is_remembered_can_be_saved_and_restore
         ('present_since', 'now', 'present_since'),
         ('untested_spread', [[1.0]], 'untested_spread'),
         ('untested_spread', [[1.0, 2.0], [2.0, 1.0]], 'untested_spread'),
+        ('untested_spread', [['2.0', '2.0'], ['2.0', '2.0']], 'untested_spread'),
+        ('untested_spread', [[True, False], [False, True]], 'untested_spread'),
+        ('spread', [['0.0', '0.0'], ['0.0', '0.0']], 'spread'),
     ],
 )
 def test_a_checkpoint_with_an_absurd_test_is_refused(

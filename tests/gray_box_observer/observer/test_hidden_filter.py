@@ -30,7 +30,7 @@ from gray_box_observer.white_box.interface import Array
 RATE_HZ = 500.0
 INTERVAL_NS = 2_000_000
 NOISE_NM = 3e-4
-SECONDS = 10.0
+SECONDS = 7.0
 STEPS = 20
 """Of the plant in a sample interval whose mean is read."""
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')

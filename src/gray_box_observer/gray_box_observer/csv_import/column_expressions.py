@@ -54,6 +54,11 @@ class Expression:
                 self._formula = Formula(text, is_condition=is_condition)
             except ExpressionError as error:
                 raise BagError(str(error)) from None
+            for name in self._formula.constants & set(names):
+                raise BagError(
+                    f'{name} in {brief(text)} is a number, and there is a column {name}, too: '
+                    f"write '{name}' in quotes for the column, or name the column otherwise"
+                )
             self._places = {name: self._number_of(name) for name in self._formula.names}
             self.kind = self._formula.kind
         self.columns = set(self._places.values())

@@ -156,12 +156,28 @@ def step_doubt(
     if not largest > 0.0:
         return
     step = largest * float(quantisation_step(np.round(moves / largest, DIGITS)[None])[0])
-    noise = step / (np.sqrt(6.0) * interval_s)
+    noise = _speed_of_rate(position, speed, interval_s) * step / (np.sqrt(6.0) * interval_s)
     if noise > NOTABLE_NOISE * float(np.sqrt(np.nanmean(speed**2))):
         yield (
             f'speed of {name} is the rate of a position with steps of {step:.3g}: its noise is '
             f'about {noise:.2g} rad/s; a longer interval or a finer encoder makes it less'
         )
+
+
+def _speed_of_rate(
+    position: NDArray[np.float64], speed: NDArray[np.float64], interval_s: float
+) -> float:
+    """Return the speed in rad/s of a position's rate of one, by least squares.
+
+    Args:
+        position: shape (row,).
+        speed: in rad/s.  shape: (row,)
+        interval_s: from row to row.
+    """
+    rate = np.diff(position) / interval_s
+    is_finite = np.isfinite(rate) & np.isfinite(speed[1:])
+    power = float(rate[is_finite] @ rate[is_finite])
+    return abs(float(rate[is_finite] @ speed[1:][is_finite])) / power if power > 0.0 else 1.0
 
 
 def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:

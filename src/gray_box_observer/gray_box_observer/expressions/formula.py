@@ -101,6 +101,7 @@ class Formula:
 
     Attributes:
         names: Of the quantities, in the order in which they first stand in the text.
+        constants: Names of the constants in it.
         past_count: How many of its functions ask for the value before.
         kind: What the unit of the whole expression measures, where it is one quantity with a unit;
             else empty.
@@ -109,6 +110,7 @@ class Formula:
     def __init__(self, text: str, *, is_condition: bool = False) -> None:
         self.text = text
         self.past_count = 0
+        self.constants: set[str] = set()
         self.kind = ''
         self._names: dict[Name, None] = {}
         self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
@@ -173,6 +175,7 @@ class Formula:
                 constant = self._number(number)
                 return lambda values, past: constant
             case ast.Name(id=name) if name in CONSTANTS:
+                self.constants.add(name)
                 known_number = CONSTANTS[name]
                 return lambda values, past: known_number
             case ast.Name(id=name) if name not in FUNCTIONS:
@@ -248,7 +251,7 @@ class Formula:
         match node.slice:
             case ast.Call(
                 func=ast.Name(id='__unit__'), args=[ast.Constant(value=int() as number)]
-            ) if isinstance(node.value, ast.Name | ast.Call):
+            ) if isinstance(node.value, ast.Name | ast.Call) and not _is_constant(node.value):
                 text = self._units[number].replace(' ', '')
                 if text in _UNITS:
                     return _UNITS[text]
@@ -284,3 +287,8 @@ class Formula:
         if not math.isfinite(number):
             raise ExpressionError(f'{brief(self.text)} holds a number that is too large')
         return number
+
+
+def _is_constant(node: ast.expr) -> bool:
+    """Tell whether a node is the name of a constant, which has no unit."""
+    return isinstance(node, ast.Name) and node.id in CONSTANTS

@@ -106,10 +106,11 @@ class FitResult:
     def restored(cls, plain: dict[str, Any], received_count: int) -> FitResult:
         """Take back what :meth:`state` gave, once it was checked."""
         assessment = FitAssessment.from_dict(plain['assessment'])
+        arrays = [np.array(plain[name], dtype=float) for name in ('factor', 'spread', 'theta')]
         return cls(
             assessment,
-            Judgement(assessment.verdict, np.array(plain['factor']), np.array(plain['spread'])),
-            np.array(plain['theta']),
+            Judgement(assessment.verdict, *arrays[:2]),
+            arrays[2],
             plain['place'] + received_count,
             plain['begin'] + received_count,
             plain['wait'],

@@ -112,7 +112,7 @@ class FitSchedule:
         self._highest = np.full((count, parameters), np.nan)
         self._has_result = np.zeros(count, dtype=bool)
         self._has_passed = np.zeros(count, dtype=bool)
-        self._is_doubted = np.zeros(count, dtype=bool)
+        self._waits_for_test = np.zeros(count, dtype=bool)
         self._movers: frozenset[int] = frozenset()
         self._calm_ranges = [self._calm_range(motor) for motor in range(count)]
 
@@ -177,7 +177,7 @@ class FitSchedule:
             estimate: of the motor; what is believed of it is what was tested.
         """
         calm_range = self._calm_ranges[0]
-        is_believed = calm_range.has_passed and not self._is_doubted[0]
+        is_believed = calm_range.has_passed and not self._waits_for_test[0]
         return is_believed and calm_range.covers(estimate)
 
     def covers(self, motor: int, estimate: Estimate) -> bool:
@@ -195,7 +195,7 @@ class FitSchedule:
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test, by which more of the motor may be believed."""
-        is_believed = self._has_passed[motor] and not self._is_doubted[motor]
+        is_believed = self._has_passed[motor] and not self._waits_for_test[motor]
         return motor in self._movers or not is_believed
 
     def is_stale(self, replay: ReplayBuffer, motor: int) -> bool:
@@ -249,7 +249,7 @@ class FitSchedule:
         self._highest[motor] = result.theta * math.exp(MOVED)
         self._has_result[motor] = True
         self._has_passed[motor] = result.assessment.verdict is not FitVerdict.MISFIT
-        self._is_doubted[motor] = result.judgement.shifts_noticeably and result.wait <= SHORT
+        self._waits_for_test[motor] = result.judgement.shifts_noticeably and result.wait <= SHORT
         self._calm_ranges[motor] = self._calm_range(motor)
 
     def forget(self, motors: Any = slice(None)) -> None:
@@ -258,7 +258,7 @@ class FitSchedule:
         self._soon[motors] = self._begin[motors] = NEVER
         self._tested_at[motors] = 0
         self._lowest[motors] = self._highest[motors] = np.nan
-        self._has_result[motors] = self._has_passed[motors] = self._is_doubted[motors] = False
+        self._has_result[motors] = self._has_passed[motors] = self._waits_for_test[motors] = False
         for motor in np.arange(self._due.size)[motors].ravel().tolist():
             self._calm_ranges[motor] = self._calm_range(motor)
 

@@ -275,7 +275,7 @@ class FitMonitor:
         result = FitResult.restored(plain, received_count) if has_result else None
         without_test = None
         if 'untested_spread' in plain and not has_result:
-            spread = np.array(plain['untested_spread'])
+            spread = np.array(plain['untested_spread'], dtype=float)
             without_test = Judgement(FitVerdict.UNTESTED, np.ones(parameters), spread)
         self._keep(motor, result, without_test)
         if plain.get('is_withheld', False):

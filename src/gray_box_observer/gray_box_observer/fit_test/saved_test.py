@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.evidence import MOST as MOST_AMOUNT
@@ -15,7 +13,6 @@ from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
     ArrayRule,
-    check_array,
     check_covariance,
     entry,
     flag,
@@ -26,7 +23,6 @@ from gray_box_observer.safe_io.saved_state import (
     positive,
     whole,
 )
-from gray_box_observer.white_box.interface import Array
 
 LONGEST_WAIT = 2048
 """Samples between two tests of a motor, at most."""
@@ -97,11 +93,9 @@ def check_saved_result(plain: Mapping[str, Any], parameters: int) -> None:
             raise CheckpointError(
                 'a suspect of the fit has a name or a remedy that nobody can have written'
             )
-    arrays = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
-    check_array('fit.factor', arrays['factor'], ArrayRule((parameters,), 1.0, LARGEST))
-    check_array('fit.spread', arrays['spread'], ArrayRule((parameters, parameters)))
-    check_covariance('fit.spread', arrays['spread'])
-    check_array('fit.theta', arrays['theta'], positive(parameters))
+    numbers(plain, 'factor', ArrayRule((parameters,), 1.0, LARGEST))
+    check_covariance('fit.spread', numbers(plain, 'spread', ArrayRule((parameters, parameters))))
+    numbers(plain, 'theta', positive(parameters))
     whole(plain, 'place', -MOST, MOST_AHEAD)
     whole(plain, 'begin', -MOST, MOST_AHEAD)
     whole(plain, 'wait', 1, LONGEST_WAIT)
@@ -139,15 +133,3 @@ def check_evidence(plain: Mapping[str, Any]) -> None:
         pair = numbers(amounts, name, ArrayRule((2,), -MOST_AMOUNT, MOST_AMOUNT))
         if not pair[1] > 0.0:
             raise CheckpointError('fit.evidence has a standard deviation that is none')
-
-
-def _saved_numbers(plain: Mapping[str, Any], name: str) -> Array:
-    """Return a list of numbers as an array.
-
-    Raises:
-        CheckpointError: it is none.
-    """
-    try:
-        return np.array(entry(plain, name), dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise CheckpointError(f'fit.{name} is no list of numbers') from None

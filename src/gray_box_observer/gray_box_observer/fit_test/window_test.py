@@ -164,8 +164,9 @@ class WindowTest:
         """Tell whether so many newest samples tell something: the voltage moves among them.
 
         A first test may do without, where it can be passed. Of a rotor that has settled, and nobody
-        measures, the resistance tells nothing: only a transient counts. A rotor that was in doubt
-        since then would have gone on turning faster: the current tells as long as it is held.
+        measures, the resistance tells nothing: only a transient counts. After a current has risen
+        from rest it goes on telling, as long as it is held: before a rotor it would fall. That may
+        refute what has passed. A misfit it cannot overrule.
         """
         samples = motor.newest(count)[:, 0]
         if not is_held(samples[VOLTAGE]):
@@ -173,8 +174,9 @@ class WindowTest:
         hopeful = Verdict.IDENTIFIED in motor.estimate.verdicts[0]
         if motor.before is None:
             return hopeful and (self._knows_speed or _knows_inductance(motor.estimate))
-        doubts_rotor = self._speed_is_guess and motor.before.judgement.shifts_noticeably
-        return hopeful and doubts_rotor and _rises_and_stays(samples[TORQUE])
+        has_passed = motor.before.assessment.verdict is not FitVerdict.MISFIT
+        is_told = has_passed and self._speed_is_guess and _rises_and_stays(samples[TORQUE])
+        return hopeful and is_told
 
     def without_test(self, motor: MotorUnderTest, count: int) -> Judgement:
         """Return what follows for an estimate by so many newest samples that tell nothing."""
@@ -277,7 +279,8 @@ class WindowTest:
         judgement = self._without_seen_rotor(judgement, theta[0], samples)
         is_stated = self.configuration.values['speed_source'] == 'measured'
         if white_box.speed_measured and not is_stated and stands_still(white_box, theta, content):
-            judgement = with_shifts(judgement, np.ones(theta.shape[1]))  # it may be no speed at all
+            every = np.ones((1, theta.shape[1]))
+            judgement = with_shifts(judgement, every)  # it may be no speed at all
         if self._doubts_speed(motor):
             with np.errstate(all='ignore'):
                 shifts = likely_shifts(white_box, theta, content)
@@ -405,7 +408,7 @@ class WindowTest:
         if is_held(samples[VOLTAGE]) and not _rises_and_stays(samples[TORQUE]):
             if is_held(samples[TORQUE]):
                 return with_shift(judgement, place, 1.0)
-            return with_shifts(judgement, np.ones(theta.size))
+            return with_shifts(judgement, np.ones((1, theta.size)))
         back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)
         share = back_emf_ohm / float(theta[place])
         return with_shift(judgement, place, share if share > NOTICEABLE else 0.0)

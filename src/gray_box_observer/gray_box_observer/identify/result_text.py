@@ -83,7 +83,7 @@ def _free_run_words(fit_percent: float | None, fit: FitAssessment | None) -> str
     words = f', fit of the free run {words_of(fit_percent, ".2f")} %'
     is_explained = fit is not None and fit.verdict is FitVerdict.OK
     if is_explained and fit_percent < NOISY_PERCENT:
-        words += ' (little: much of what the torque moves is noise)'
+        words += ' (the torque hardly moves but for noise)'
     return words
 
 

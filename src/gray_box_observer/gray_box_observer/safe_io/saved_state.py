@@ -228,6 +228,10 @@ def number_or_none(plain: Any, name: str, low: float, high: float) -> float | No
     return None if entry(plain, name) is None else number(plain, name, low, high)
 
 
+NUMBER_KINDS = 'iuf'
+"""What numpy makes of lists of numbers: integers of either kind, or floats. Texts are none."""
+
+
 def numbers(plain: Any, name: str, rule: ArrayRule) -> Array:
     """Return nested lists of numbers of a group as an array.
 
@@ -235,9 +239,12 @@ def numbers(plain: Any, name: str, rule: ArrayRule) -> Array:
         CheckpointError: they are none, or break the rule.
     """
     try:
-        array = np.array(entry(plain, name), dtype=float)
+        content = np.array(entry(plain, name))
+        array = content.astype(float)
     except (TypeError, ValueError, OverflowError):
         raise CheckpointError(f'{name} is no list of numbers') from None
+    if content.dtype.kind not in NUMBER_KINDS:
+        raise CheckpointError(f'{name} is no list of numbers')
     check_array(name, array, rule)
     return array
 
