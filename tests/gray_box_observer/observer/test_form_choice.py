@@ -54,7 +54,7 @@ def test_a_motor_of_the_thesis_keeps_its_form_and_values_bit_for_bit() -> None:
     assert np.array_equal(chosen.estimate.value, stated.estimate.value)
     wider = chosen.estimate.std / stated.estimate.std  # by a rotor that might turn
     assert (wider >= 1.0).all()
-    assert (wider < 1.001).all()
+    assert (wider < 1.05).all()
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
+from gray_box_observer.samples.order_statistics import median
 from gray_box_observer.samples.voltage_level import is_held
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -63,11 +64,11 @@ def hidden_rotor_doubts(
     assert isinstance(white_box, MotorWhiteBox)
     stretch = run.stretch
     is_settled = is_held(stretch.voltage_v[0]) and is_held(stretch.state[0])
-    resistance_ohm = white_box.values(theta)['resistance']
-    if is_settled or not resistance_ohm > 0.0:
+    if is_settled:
         return []
-    winding_s = run.inductance_h / resistance_ohm
-    interval_s = float(np.median(stretch.interval_s[0]))
+    resistance_ohm = white_box.values(theta).get('resistance', 0.0)
+    winding_s = run.inductance_h / resistance_ohm if resistance_ohm > 0.0 else 0.0
+    interval_s = float(median(stretch.interval_s[0]))
     slower_s = SLOWER * winding_s if inductance_std < INDUCTANCE_STD else 0.0
     doubts = _of_back_emf(run, max(slower_s, FEWEST_INTERVALS * interval_s))
     if winding_s > interval_s:
