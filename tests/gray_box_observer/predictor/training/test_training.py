@@ -82,7 +82,7 @@ def test_another_process_trains_the_same_weights(
     variant: Variant,
 ) -> None:
     rules = replace(SMALL, variant=variant, start='fresh')
-    jobs = [job_of(samples[:400]), job_of(samples[:800])]
+    jobs = [job_of(samples[:200]), job_of(samples[:400])]
     inline = InlineTraining(configuration(thesis_box, rules))
     process = ProcessTraining(configuration(thesis_box, rules), shared_process)
     try:
