@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from linear_motor_records import (
@@ -69,6 +71,16 @@ def test_a_motor_that_has_settled_leaves_no_doubt_and_one_that_is_switched_on_do
     settled = free_run(WHITE_BOX, TRUTH, Record(voltage_v[50:], current_a[50:]).stretch)
     assert hidden_rotor_doubts(WHITE_BOX, switched_on, VALUES, inductance_std=0.01)
     assert hidden_rotor_doubts(WHITE_BOX, settled, VALUES, inductance_std=0.01) == []
+
+
+def test_intervals_that_mostly_do_not_last_end_no_search_for_times_of_a_rotor() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    run = free_run(WHITE_BOX, TRUTH, Record(voltage_v, current_of(voltage_v)).stretch)
+    interval_s = run.stretch.interval_s.copy()
+    interval_s[:, : SAMPLES // 2 + 10] = 0.0
+    gappy = replace(run, stretch=replace(run.stretch, interval_s=interval_s))
+    for doubt in hidden_rotor_doubts(WHITE_BOX, gappy, VALUES, inductance_std=1.0):
+        assert np.isfinite(doubt.response_a).all()
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -87,7 +87,7 @@ def _of_back_emf(run: FreeRun, fastest_s: float) -> list[Doubt]:
     current_a = interval_means(run.stretch.state[0])
     speeds = [np.cumsum(current_a * interval_s)]
     mechanical_s = fastest_s
-    while mechanical_s < LONGEST * float(interval_s.sum()):
+    while 0.0 < mechanical_s < LONGEST * float(interval_s.sum()):
         decay = np.exp(-interval_s / mechanical_s)
         inputs = (current_a * (1.0 - decay))[None, None]
         speeds.append(recurrence(decay[None], inputs, np.zeros((1, 1)))[0, 0, 1:])
