@@ -19,7 +19,7 @@ RATE ?= 1
 DEMO_ARGS ?=
 # make test
 ARGS ?=
-WORKERS ?= 5
+WORKERS ?= 4
 # make bench
 NAME ?=
 QUICK ?=
@@ -40,7 +40,7 @@ demo: setup  ## identify a simulated motor live (DURATION= MOTOR=thesis|geared E
 
 # More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
 # Few tests at a time, or one process is left alone at the end with a hundred tests of nodes.
-test: setup  ## run every test (ARGS='-k pairing' WORKERS=4)
+test: setup  ## run every test (ARGS='-k pairing' WORKERS=2)
 	$(RUN) python -m pytest -n $(WORKERS) --dist load --maxschedchunk 16 $(ARGS)
 
 test-fast: setup  ## tests that start no node and no process and take no time (ARGS='-k pairing')
