@@ -25,6 +25,7 @@ from common.rotor.hidden_figures import (
     fleet_figures,
     peer_figures,
     slow_figures,
+    smooth_figures,
     sticky_figures,
     thesis_figures,
 )
@@ -69,6 +70,9 @@ def main() -> int:
         '--fleet', action='store_true', help='only many motors in the same messages'
     )
     parser.add_argument(
+        '--smooth', action='store_true', help='only voltages that hardly step, without a speed'
+    )
+    parser.add_argument(
         '--thesis', action='store_true', help="only the thesis's sets, whose speed is Kt i"
     )
     parser.add_argument(
@@ -95,6 +99,7 @@ def main() -> int:
         'mechanics': lambda: mechanical_figures(seeds, length_s, counts=counts),
         'peers': lambda: peer_figures(seeds, length_s, counts=counts),
         'fleet': lambda: fleet_figures(counts=counts),
+        'smooth': lambda: smooth_figures(seeds, counts=counts),
         'thesis': lambda: thesis_figures(seeds, counts=counts),
         'predict': lambda: prediction_figures(data, quick=options.quick),
         'axis': lambda: axis_figures(data),

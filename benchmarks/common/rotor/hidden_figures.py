@@ -24,6 +24,7 @@ from common.rotor.trial_tables import (
     show,
     show_choices,
 )
+from common.rotor.voltages import ramps, slow_sine, soft_levels, trapezoids
 from common.trust.motors import fan_motor, gear_motor, sticky_motor, thesis_like_motor
 
 FLEET, FLEET_HZ = 1000, 100.0
@@ -33,6 +34,9 @@ FLEET_S, FLEET_DRAWN = 200.0, 50
 """Length of a record of many motors, and motors that are drawn: each stands for as many."""
 
 QUICK_FLEET, QUICK_FLEET_S = 100, 40.0
+
+SMOOTH_DRIVES = (ramps, trapezoids, soft_levels, slow_sine)
+FIRST_SMOOTH_SEED, SMOOTH_S = 60, 3.0
 
 ELECTRICAL = slice(0, 2)
 QUICK_SEEDS = 3
@@ -131,6 +135,26 @@ def sticky_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
         Figure('strong friction: share beyond 3 std', 1.0 - float(within), 0.03, counts),
         Figure('strong friction: false of all identified', share_false(trials), 0.0, counts),
     ]
+
+
+def smooth_figures(motors: int, *, counts: bool) -> list[Figure]:
+    """Let ``auto`` choose under voltages that hardly step: a rotor follows them unseen."""
+    rows = []
+    figures = []
+    for drive in SMOOTH_DRIVES:
+        name = drive.__name__.replace('_', ' ')
+        seeds = range(FIRST_SMOOTH_SEED, FIRST_SMOOTH_SEED + motors)
+        choices = [
+            run_choice(draw(gear_motor, seed, 1000.0, SMOOTH_S, drive=drive)) for seed in seeds
+        ]
+        found = number(share_of(choices, 'rotor'))
+        claims = sum(choice.claims for choice in choices)
+        false = sum(choice.false for choice in choices)
+        rows.append([name, found, f'{false}/{claims}'])
+        title = f'auto, {name}: false of all identified'
+        figures.append(Figure(title, share_false(choices), 0.02, counts))
+    print(f'\n{table(["voltage", "rotor found", "false"], rows)}')
+    return figures
 
 
 def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:

@@ -41,6 +41,15 @@ def ramps(rate_hz: float, duration_s: float, rng: np.random.Generator) -> FloatA
     return np.asarray(HIGHEST_V * np.clip(time_s, 0.0, 1.0) * direction)
 
 
+def trapezoids(rate_hz: float, duration_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return trapezoids of 10 V, one way and the other, each 1 to 3 s long, as moves have them."""
+    time_s = _times(rate_hz, duration_s)
+    length_s = rng.uniform(1.0, 3.0)
+    place = time_s / length_s % 1.0
+    direction = 1.0 - 2.0 * (np.floor(time_s / length_s) % 2.0)
+    return np.asarray(10.0 * direction * np.clip(5.0 * np.minimum(place, 1.0 - place), 0.0, 1.0))
+
+
 def soft_levels(rate_hz: float, duration_s: float, rng: np.random.Generator) -> FloatArray:
     """Return random levels behind a filter of 50 to 400 ms, as a soft start makes them."""
     levels = random_levels(rate_hz, duration_s, rng)
