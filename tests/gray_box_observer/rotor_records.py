@@ -129,6 +129,28 @@ def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0)
     return begin_ns
 
 
+def resistance_claims(
+    observer: Observer,
+    recording: Recording,
+    resistance_ohm: float,
+    speed_rad_s: Sequence[float] | None = None,
+) -> list[tuple[int, float, float]]:
+    """Feed a recording; return sample, error and deviation of R wherever it was identified.
+
+    Error and deviation are relative to the true resistance.
+    """
+    claims = []
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        speed = () if speed_rad_s is None else (speed_rad_s[k],)
+        results = observer.torque('motor', stamp, float(recording.torque_nm[0, k]), *speed)
+        for estimate in [one.estimate for one in results if one.estimate is not None]:
+            if estimate.verdicts[0][1] is Verdict.IDENTIFIED:
+                error = float(estimate.value[0, 1] / resistance_ohm - 1.0)
+                claims.append((k, error, float(estimate.std[0, 1] / resistance_ohm)))
+    return claims
+
+
 def samples_of(record: Recording, *, has_speed: bool = False) -> list[PairedSample]:
     """Return samples of one motor at 1 kHz, as pairing would make them."""
     return [

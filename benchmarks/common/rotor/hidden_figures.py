@@ -148,9 +148,7 @@ def smooth_figures(motors: int, *, counts: bool) -> list[Figure]:
             run_choice(draw(gear_motor, seed, 1000.0, SMOOTH_S, drive=drive)) for seed in seeds
         ]
         found = number(share_of(choices, 'rotor'))
-        claims = sum(choice.claims for choice in choices)
-        false = sum(choice.false for choice in choices)
-        rows.append([name, found, f'{false}/{claims}'])
+        rows.append([name, found, false_of_claims(choices)])
         title = f'auto, {name}: false of all identified'
         figures.append(Figure(title, share_false(choices), 0.02, counts))
     print(f'\n{table(["voltage", "rotor found", "false"], rows)}')

@@ -35,7 +35,7 @@ def share_false(trials: Sequence[Trial | Choice]) -> float:
     return sum(trial.false for trial in trials) / max(1, sum(trial.claims for trial in trials))
 
 
-def false_of_claims(trials: Sequence[Trial | ThesisTrial]) -> str:
+def false_of_claims(trials: Sequence[Trial | ThesisTrial | Choice]) -> str:
     """Return how many claims were false, of how many, for a table."""
     return f'{sum(trial.false for trial in trials)}/{sum(trial.claims for trial in trials)}'
 
@@ -75,7 +75,7 @@ def show_choices(title: str, choices: Sequence[Choice]) -> None:
             choice.source,
             f'{choice.since_s:.2f}',
             'yes' if choice.is_right else 'no',
-            f'{choice.false}/{choice.claims}',
+            false_of_claims([choice]),
         ]
         for seed, choice in enumerate(choices)
     ]

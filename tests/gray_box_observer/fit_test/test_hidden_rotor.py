@@ -18,6 +18,7 @@ from linear_motor_records import (
     noise,
     steps,
 )
+from rotor_records import feed, resistance_claims
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
@@ -108,9 +109,7 @@ def test_a_current_that_is_held_goes_on_telling_that_no_rotor_turns(seed: int) -
         Configuration.from_flat({'motor.torque_constant': 0.01, 'motor.back_emf_constant': 0.01}),
         None,
     )
-    for k, stamp_ns in enumerate(record.stamp_ns.tolist()):
-        observer.voltage('motor', stamp_ns, float(record.voltage_v[0, k]))
-        observer.torque('motor', stamp_ns, float(record.torque_nm[0, k]))
+    feed(observer, [record])
     assert set(observer.estimates()['motor'].verdicts[0]) == {Verdict.IDENTIFIED}
 
 
@@ -157,14 +156,8 @@ def test_a_rotor_that_runs_up_under_a_held_voltage_ends_as_a_misfit(
         'motor.back_emf_constant': plant.back_emf_constant,
     }
     observer = Observer(Configuration.from_flat(constants), None)
-    for k, stamp_ns in enumerate(record.stamp_ns.tolist()):
-        observer.voltage('motor', stamp_ns, float(record.voltage_v[0, k]))
-        for result in observer.torque('motor', stamp_ns, float(record.torque_nm[0, k])):
-            estimate = result.estimate
-            if estimate is None or estimate.verdicts[0][1] is not Verdict.IDENTIFIED:
-                continue
-            off = abs(estimate.value[0, 1] - plant.resistance)
-            assert off < max(3.0 * estimate.std[0, 1], 0.02 * plant.resistance)
+    claims = resistance_claims(observer, record, plant.resistance)
+    assert all(abs(error) < max(0.02, 3.0 * std) for _, error, std in claims)
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
 
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rotor_records import GEAR_MOTOR, STICKY_MOTOR, counted_speed, driven
+from rotor_records import (
+    GEAR_MOTOR,
+    STICKY_MOTOR,
+    counted_speed,
+    driven,
+    resistance_claims,
+)
 
 from dc_motor_sim.plant import PlantParameters
-from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
@@ -30,16 +35,8 @@ def claims_of(
         'motor.stamps_exact': True,
     }
     observer = Observer(Configuration.from_flat({**values, 'predictor': False}))
-    claims = []
     readings = counted_speed(recording.speed_rad_s[0], counts).tolist()
-    for k, stamp in enumerate(recording.stamp_ns.tolist()):
-        observer.voltage('motor', stamp, float(recording.voltage_v[0, k]))
-        results = observer.torque('motor', stamp, float(recording.torque_nm[0, k]), readings[k])
-        for estimate in [one.estimate for one in results if one.estimate is not None]:
-            if estimate.verdicts[0][1] is Verdict.IDENTIFIED:
-                error = float(estimate.value[0, 1] / plant.resistance - 1.0)
-                claims.append((k, error, float(estimate.std[0, 1] / plant.resistance)))
-    return claims
+    return resistance_claims(observer, recording, plant.resistance, readings)
 
 
 @pytest.mark.slow

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rotor_records import driven
+from rotor_records import driven, resistance_claims
 
 from dc_motor_sim.plant import PlantParameters
-from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
@@ -56,11 +55,5 @@ def test_no_resistance_is_sure_and_wrong_while_a_rotor_follows(name: str, ramps:
             {'predictor': False, 'motor.torque_constant': KT, 'motor.back_emf_constant': KT}
         )
     )
-    for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
-        observer.voltage('motor', stamp_ns, float(recording.voltage_v[0, k]))
-        for result in observer.torque('motor', stamp_ns, float(recording.torque_nm[0, k])):
-            estimate = result.estimate
-            if estimate is None or estimate.verdicts[0][1] is not Verdict.IDENTIFIED:
-                continue
-            off = abs(estimate.value[0, 1] - plant.resistance)
-            assert off < max(3.0 * estimate.std[0, 1], 0.02 * plant.resistance)
+    claims = resistance_claims(observer, recording, plant.resistance)
+    assert all(abs(error) < max(0.02, 3.0 * std) for _, error, std in claims)

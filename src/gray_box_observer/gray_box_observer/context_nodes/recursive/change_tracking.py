@@ -90,11 +90,12 @@ class ChangeTracker:
         state.examined_at = state.position.copy()
         gain = np.array([evidence_for(stretch, baseline, fit) for fit in fits])
         penalty = np.array([change.penalty for change in self._changes])[:, None]
-        candidates = (gain - penalty).max(axis=0) > CHANGE_EVIDENCE
-        if candidates.any():
-            gain = gain / self._inefficiency(motors, candidates, samples)
-        best = np.argmax(gain - penalty, axis=0)
-        has_changed = (gain - penalty).max(axis=0) > CHANGE_EVIDENCE
+        evidence = gain - penalty
+        seems_changed = evidence.max(axis=0) > CHANGE_EVIDENCE
+        if seems_changed.any():
+            evidence = gain / self._inefficiency(motors, seems_changed, samples) - penalty
+        best = np.argmax(evidence, axis=0)
+        has_changed = evidence.max(axis=0) > CHANGE_EVIDENCE
         state.belief = self._back_on_track(belief, baseline.belief, ~has_changed)
         if not np.any(has_changed):
             return
