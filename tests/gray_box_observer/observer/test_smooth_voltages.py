@@ -57,3 +57,20 @@ def test_no_resistance_is_sure_and_wrong_while_a_rotor_follows(name: str, ramps:
     )
     claims = resistance_claims(observer, recording, plant.resistance)
     assert all(abs(error) < max(0.02, 3.0 * std) for _, error, std in claims)
+
+
+@pytest.mark.parametrize('frequency_hz', [0.15, 0.4])
+def test_a_slow_sine_tells_a_motor_that_friction_holds_first(frequency_hz: float) -> None:
+    """A rotor that turned backwards at first was taken for it, and R was a third too small."""
+    plant = PlantParameters(
+        inductance=3e-3, resistance=1.82, hysteresis=0.0, torque_constant=0.0213,
+        back_emf_constant=0.0213, inertia=1.65e-5, viscous_friction=2e-5, coulomb_friction=7.6e-3,
+    )  # fmt: skip
+    voltage_v = 8.0 * np.sin(2.0 * np.pi * frequency_hz * 1e-3 * np.arange(2500))
+    recording = driven(plant, voltage_v, noise_nm=4.8e-5)
+    constants = dict.fromkeys(('torque_constant', 'back_emf_constant'), 0.0213)
+    parameters = {f'motor.{name}': value for name, value in constants.items()}
+    observer = Observer(Configuration.from_flat({'predictor': False, **parameters}))
+    claims = resistance_claims(observer, recording, plant.resistance)
+    assert claims
+    assert all(abs(error) < max(0.02, 3.0 * std) for _, error, std in claims)

@@ -21,6 +21,7 @@ from gray_box_observer.context_nodes.pieces import (
     WorkBudget,
     bounded,
 )
+from gray_box_observer.context_nodes.rotor.breakaway_start import begins_held
 from gray_box_observer.context_nodes.rotor.load_walk import knot_count
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_learner import FEWEST_MOVES
@@ -230,11 +231,12 @@ class FormTrial:
         content = self._start.content
         total = content.shape[2]
         before_a = start.before_a
-        form: MotorForm | None = None
+        form = self._open.make(kind)
+        is_held = kind.source == ROTOR and begins_held(form.white_box, form.driven(content)[:, 0])
         for count in [*(look for look in LOOKS if look < total), total]:
-            newest = content[:, :, -count:]
-            fit = yield from self._fitter.first(kind, newest, form)
-            fit = yield from self._fitter.settled(fit, newest)
+            part = content[:, :, :count] if is_held else content[:, :, -count:]
+            fit = yield from self._fitter.first(kind, part, form)
+            fit = yield from self._fitter.settled(fit, part)
             kind = fit.kind
             form = fit.form
             may_settle = kind.source != ROTOR or COASTING in kind.effects

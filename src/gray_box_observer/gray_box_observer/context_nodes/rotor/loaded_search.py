@@ -121,7 +121,7 @@ class LoadedSearch(Search):
         )
         alone = LoadedSearch(self.white_box, window, self.prior, self.logarithms, starts)
         alone._floor_a = self._floor_a
-        alone._start_std = self._start_std
+        alone._start_std = self._start_std[row : row + 1]
         alone._start_precision = self._start_precision[row : row + 1]
         return alone
 

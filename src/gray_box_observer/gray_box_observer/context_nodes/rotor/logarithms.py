@@ -69,3 +69,12 @@ class Fit:
         """Shape (parameter,)."""
         result: Array = np.exp(self.logarithms)
         return result
+
+    def covariance(self, prior: LogPrior) -> Array:
+        """Of the logarithms, shape (parameter, parameter), by the samples and a prior.
+
+        Args:
+            prior: decides what the samples leave open.
+        """
+        precision = self.information + prior.precision
+        return np.asarray(np.linalg.pinv(precision, hermitian=True), dtype=float)

@@ -49,9 +49,15 @@ def start_mean(window: Window, starts: Array) -> Array:
 
 
 def start_precision(window: Window, start_std: Array) -> Array:
-    """Return what is known of the unknowns of every history, shape (history, unknown, unknown)."""
+    """Return what is known of the unknowns of every history, shape (history, unknown, unknown).
+
+    Args:
+        window: the samples.
+        start_std: shape (history, state): of the first states.
+    """
+    pairs = zip(start_std, window.histories, strict=True)
     unknowns = window.unknowns
-    return np.stack([unknowns.precision(start_std, one.interval_s) for one in window.histories])
+    return np.stack([unknowns.precision(std, history.interval_s) for std, history in pairs])
 
 
 def without_noise(information: Array, of_noise: Array) -> Array:

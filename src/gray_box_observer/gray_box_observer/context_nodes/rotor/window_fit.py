@@ -13,12 +13,19 @@ from dataclasses import replace
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded, completed
+from gray_box_observer.context_nodes.rotor.breakaway_start import breakaway_starts
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.rest_search import ends_of_rest
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_noise import voltage_noise_of
-from gray_box_observer.context_nodes.rotor.window_search import ROUGHLY, Search, SearchEnd
+from gray_box_observer.context_nodes.rotor.window_search import (
+    ROUGHLY,
+    Search,
+    SearchEnd,
+    promising_searches,
+)
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -47,6 +54,9 @@ MOST_PLAIN_RUNS = 16
 CLEARLY = 25.0
 """Log-likelihood by which a fit leaves clearly more than another one."""
 
+REST = 4.0
+"""Difference of chi-square up to which a rotor that begins without a current is at rest."""
+
 DISTINCT = 1.0
 """Standard deviations from which two ends of a search are two."""
 
@@ -72,15 +82,13 @@ def fit_window(
     Where the best end knows of noise of the voltage, and one beside it without any leaves no more
     than the noise of the readings, there is none: the current answers what seemed to be noise.
     """
-    searches = []
-    for start in starts:
-        search = Search(white_box, window, prior, np.log(start))
-        yield from search.settle()
-        if search.is_valid:
-            searches.append(search)
-    searches.sort(key=lambda search: search.scale_a)
+    searches = (yield from promising_searches(white_box, window, prior, starts))[:PROMISING]
+    begins = [np.exp(search.logarithms) for search in searches]
+    if tries_others and window.speed_output is None:
+        breakaways = [*breakaway_starts(white_box, window, begins)]
+        searches += (yield from promising_searches(white_box, window, prior, breakaways))[:1]
     ends: list[SearchEnd] = []
-    for search in searches[:PROMISING]:
+    for search in searches:
         end = yield from _searched(search, ends)
         if end is not None:
             ends.append(end)
@@ -89,10 +97,9 @@ def fit_window(
     yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
     if tries_others:
         yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
-    fits = [end.fit for end in ends]
-    noise_a = min(fit.noise_a for fit in fits)
-    fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise_a) ** 2 + _size(fit))
-    best, *others = fits
+    best_end = min(ends, key=lambda end: _size(end.fit))
+    ends += yield from ends_of_rest(best_end, begins if tries_others else ())
+    best, *others = _likeliest(ends)
     if best.voltage_noise is not NO_NOISE and tries_others:
         pieces = search_from(white_box, window, prior, best.theta, looks_for_noise=False)
         plain = yield from bounded(pieces, MOST_PLAIN_RUNS * best.runs.work)
@@ -100,6 +107,23 @@ def fit_window(
             return plain
     worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
     return with_rivals(best, others, worse, prior)
+
+
+def _likeliest(ends: Sequence[SearchEnd]) -> list[Fit]:
+    """Return the fits of ends, the likeliest first.
+
+    Those in which a rotor turns first are left out where one in which it rests explains as much.
+    """
+    noise_a = min(end.fit.noise_a for end in ends)
+
+    def cost(end: SearchEnd) -> float:
+        return end.fit.chi_square * (end.fit.noise_a / noise_a) ** 2 + _size(end.fit)
+
+    ends = sorted(ends, key=cost)
+    rests = [end for end in ends if end.search.begins_at_rest]
+    if rests and cost(rests[0]) - cost(ends[0]) < REST:
+        ends = rests
+    return [end.fit for end in ends]
 
 
 def _explains_more(plain: Fit, aware: Fit) -> bool:
@@ -219,7 +243,7 @@ def with_rivals(best: Fit, others: Sequence[Fit], worse: Sequence[float], prior:
         prior: decides what the samples leave open.
     """
     spread = best.spread
-    covariance = np.linalg.pinv(best.information + prior.precision, hermitian=True)
+    covariance = best.covariance(prior)
     std = np.sqrt(np.maximum(np.diagonal(covariance), 1e-30))
     for other, difference in zip(others, worse, strict=True):
         apart = other.logarithms - best.logarithms

@@ -79,6 +79,10 @@ FEW = 3
 MOST_SETTLED = 4
 """Steps at most in which first states are moved by themselves where the parameters are believed."""
 
+AT_REST = 1e-3
+"""Standard deviation of the back-EMF of a rotor that is at rest, as a share of the largest that a
+first speed is likely to have."""
+
 LEAST_START_GAIN = 1.0
 """Of chi-square, from which first states are moved by themselves before all else is."""
 
@@ -124,10 +128,19 @@ class SearchEnd:
 class Search:
     """Damped Gauss-Newton from one start.
 
+    Args:
+        white_box: of one motor with a rotor.
+        window: the samples.
+        prior: decides what the samples leave open.
+        logarithms: shape (parameter,): where it begins.
+        rests: shape (history,): histories that begin with a rotor at rest, without a current; None:
+            that is told of none.
+
     Attributes:
         voltage_noise: that the current does not answer: what it does is taken off.
         looks_for_noise: whether there may be any.
         logarithms: shape (parameter,): where it stands.
+        begins_at_rest: whether it is told that a rotor is at rest first.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
         promised_gain: of chi-square by the last step that was tried, if all were straight.
         beyond: shape (parameter,): where that leads.
@@ -141,6 +154,8 @@ class Search:
         window: Window,
         prior: LogPrior,
         logarithms: Array,
+        *,
+        rests: Array | None = None,
     ) -> None:
         self.white_box = white_box
         self.voltage_noise = NO_NOISE
@@ -159,10 +174,17 @@ class Search:
         self._leaves_out = False
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
-        self._start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
+        start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
+        self._start_std = np.tile(start_std, (len(window.histories), 1))
         self._start_precision = start_precision(window, self._start_std)
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
+        self.begins_at_rest = rests is not None
+        if rests is not None:
+            self.starts[rests, State.SPEED] = 0.0
+            rest_std = window.reading_noise_a + self._floor_a, AT_REST * fastest + slowest
+            self._start_std[rests] = rest_std
+            self._start_precision = start_precision(window, self._start_std)
         self._runs: FreeRuns | None = None
         self.scale_a = np.inf
 
@@ -478,3 +500,20 @@ class Search:
             return 0.0
         powers = WindowNoise.from_runs(self._at).powers(self.voltage_noise)
         return float(np.sqrt(powers[State.CURRENT]))
+
+
+def promising_searches(
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    rests: Array | None = None,
+) -> Pieces[list[Search]]:
+    """Return a search from every start that can be run; first the one that explains most."""
+    searches = []
+    for start in starts:
+        search = Search(white_box, window, prior, np.log(start), rests=rests)
+        yield from search.settle()
+        if search.is_valid:
+            searches.append(search)
+    return sorted(searches, key=lambda search: search.scale_a)

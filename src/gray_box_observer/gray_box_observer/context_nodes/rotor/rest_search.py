@@ -1,0 +1,71 @@
+"""Searches again with a rotor that is at rest where its signal history begins.
+
+Under a voltage that has not turned yet, R, L, 1/J and the first speed explain each other: times s
+the one, and ``(1 - s) V_0 / Kb`` the other (docs/METHOD.md, The whole motor). A motor that has no
+current when its record begins stands still, as good as always. So a rotor that was to turn then is
+asked whether one at rest explains the samples as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gray_box_observer.context_nodes.pieces import Pieces, bounded
+from gray_box_observer.context_nodes.rotor.window_search import SearchEnd, promising_searches
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.interface import Array
+
+NO_CURRENT = 4.0
+"""Standard deviations of the noise up to which a history begins without a current."""
+
+STANDSTILL = 0.005
+"""Share of the largest voltage up to which a first back-EMF is that of a rotor at rest."""
+
+OPEN = 0.05
+"""Standard deviation of the inertia's logarithm from which the first speed may hide in it."""
+
+VAGUE = 2.0
+"""The same from which no start tells it."""
+
+MOST_RUNS = 32
+"""Runs of such a search, at most."""
+
+
+def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[SearchEnd]]:
+    """Search with a rotor that is at rest first, where it has no current and was to turn.
+
+    Args:
+        best: where the search that explains most has ended.
+        starts: shape (parameter,) each: where to search from beside that end.
+
+    Returns:
+        The end; none where nothing is asked, or nothing is found.
+    """
+    rests, turns = _rests(best)
+    if not rests.any():
+        return []
+    last = best.search
+    begins = [best.fit.theta, *(starts if turns else ())]
+    searches = yield from promising_searches(last.white_box, last.window, last.prior, begins, rests)
+    if not searches:
+        return []
+    end = yield from bounded(searches[0].run(), MOST_RUNS * best.fit.runs.work)
+    return [] if end is None else [end]
+
+
+def _rests(best: SearchEnd) -> tuple[Array, bool]:
+    """Return which histories may begin at rest, shape (history,), and whether one does not yet."""
+    search = best.search
+    window = search.window
+    if window.speed_output is not None:
+        return np.zeros(len(window.histories), dtype=bool), False
+    place = search.white_box.context_nodes.index('inertia')
+    variance = float(best.fit.covariance(search.prior)[place, place])
+    first_a = np.array([history.current_a[0] for history in window.histories])
+    has_no_current = np.abs(first_a) < NO_CURRENT * best.fit.noise_a
+    emf_v = search.starts[:, State.SPEED] * float(search.white_box.known['back_emf_constant'])
+    turns = has_no_current & (np.abs(emf_v) > STANDSTILL * window.largest_voltage_v)
+    is_open = OPEN**2 < variance < VAGUE**2
+    return (has_no_current if is_open else turns), bool(turns.any())
