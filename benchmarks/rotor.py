@@ -23,6 +23,7 @@ from common.rotor.hidden_figures import (
     choice_figures,
     fast_figures,
     fleet_figures,
+    hysteresis_figures,
     peer_figures,
     slow_figures,
     smooth_figures,
@@ -73,6 +74,9 @@ def main() -> int:
         '--smooth', action='store_true', help='only voltages that hardly step, without a speed'
     )
     parser.add_argument(
+        '--hysteresis', action='store_true', help='only rotors whose hysteresis nobody has named'
+    )
+    parser.add_argument(
         '--thesis', action='store_true', help="only the thesis's sets, whose speed is Kt i"
     )
     parser.add_argument(
@@ -100,6 +104,7 @@ def main() -> int:
         'peers': lambda: peer_figures(seeds, length_s, counts=counts),
         'fleet': lambda: fleet_figures(counts=counts),
         'smooth': lambda: smooth_figures(seeds, counts=counts),
+        'hysteresis': lambda: hysteresis_figures(seeds, 0.5 * length_s, counts=counts),
         'thesis': lambda: thesis_figures(seeds, counts=counts),
         'predict': lambda: prediction_figures(data, quick=options.quick),
         'axis': lambda: axis_figures(data),

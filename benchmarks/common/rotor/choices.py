@@ -24,15 +24,20 @@ class Choice:
     Attributes:
         source: where the speed comes from at the end.
         since_s: when that was chosen; NaN where nothing was chosen.
-        is_right: whether L and R are identified and right at the end.
+        right_names: parameters that are identified and right at the end.
         claims, false: identified parameters over all estimates, and those of them that were false.
     """
 
     source: str
     since_s: float
-    is_right: bool
+    right_names: tuple[str, ...]
     claims: int
     false: int
+
+    @property
+    def is_right(self) -> bool:
+        """Whether L and R are identified and right at the end."""
+        return set(ELECTRICAL) <= set(self.right_names)
 
 
 def run_choice(record: Record) -> Choice:
@@ -61,7 +66,7 @@ def run_choice(record: Record) -> Choice:
             since_s = stamp * 1e-9 if source else math.nan
             source = view.white_box.speed_source
     right, _ = _claims(observer.estimates()[MOTOR], motor)
-    return Choice(source, since_s, set(ELECTRICAL) <= set(right), claims, false)
+    return Choice(source, since_s, tuple(right), claims, false)
 
 
 def _claims(estimate: Estimate, motor: Motor) -> tuple[list[str], list[str]]:

@@ -9,7 +9,7 @@ import numpy as np
 from common.cases import CASES, simulate
 from common.figures import Figure, number, table
 from common.motion import FloatArray
-from common.rotor.choices import run_choice
+from common.rotor.choices import Choice, run_choice
 from common.rotor.fleet import run_fleet
 from common.rotor.records import NODES, Record, draw
 from common.rotor.runs import run_trial
@@ -25,7 +25,14 @@ from common.rotor.trial_tables import (
     show_choices,
 )
 from common.rotor.voltages import ramps, slow_sine, soft_levels, trapezoids
-from common.trust.motors import fan_motor, gear_motor, sticky_motor, thesis_like_motor
+from common.trust.motors import (
+    fan_motor,
+    gear_motor,
+    slight_hysteresis_motor,
+    sticky_motor,
+    strong_hysteresis_motor,
+    thesis_like_motor,
+)
 
 FLEET, FLEET_HZ = 1000, 100.0
 """Motors, and samples a second of each, that the cost of many is reckoned for."""
@@ -36,7 +43,8 @@ FLEET_S, FLEET_DRAWN = 200.0, 50
 QUICK_FLEET, QUICK_FLEET_S = 100, 40.0
 
 SMOOTH_DRIVES = (ramps, trapezoids, soft_levels, slow_sine)
-FIRST_SMOOTH_SEED, SMOOTH_S = 60, 3.0
+FIRST_REPORT_SEED = 60
+SMOOTH_S = 3.0
 
 ELECTRICAL = slice(0, 2)
 QUICK_SEEDS = 3
@@ -143,7 +151,7 @@ def smooth_figures(motors: int, *, counts: bool) -> list[Figure]:
     figures = []
     for drive in SMOOTH_DRIVES:
         name = drive.__name__.replace('_', ' ')
-        seeds = range(FIRST_SMOOTH_SEED, FIRST_SMOOTH_SEED + motors)
+        seeds = range(FIRST_REPORT_SEED, FIRST_REPORT_SEED + motors)
         choices = [
             run_choice(draw(gear_motor, seed, 1000.0, SMOOTH_S, drive=drive)) for seed in seeds
         ]
@@ -153,6 +161,28 @@ def smooth_figures(motors: int, *, counts: bool) -> list[Figure]:
         figures.append(Figure(title, share_false(choices), 0.02, counts))
     print(f'\n{table(["voltage", "rotor found", "false"], rows)}')
     return figures
+
+
+def hysteresis_figures(motors: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Let ``auto`` choose, of gear motors whose hysteresis nobody has named."""
+    rows = []
+    figures = []
+    for kind in (slight_hysteresis_motor, strong_hysteresis_motor):
+        name = kind.__name__.removesuffix('_motor').replace('_', ' ')
+        seeds = range(FIRST_REPORT_SEED, FIRST_REPORT_SEED + motors)
+        choices = [run_choice(draw(kind, seed, 1000.0, length_s)) for seed in seeds]
+        right = [_share_right(choices, node) for node in ('resistance', 'hysteresis')]
+        rows.append([name, *(number(share) for share in right), false_of_claims(choices)])
+        figures += [
+            Figure(f'auto, {name}: R not identified and right', 1.0 - right[0], None),
+            Figure(f'auto, {name}: false of all identified', share_false(choices), 0.02, counts),
+        ]
+    print(f'\n{table(["motors", "R right", "K_HS right", "false"], rows)}')
+    return figures
+
+
+def _share_right(choices: Sequence[Choice], name: str) -> float:
+    return float(np.mean([name in choice.right_names for choice in choices]))
 
 
 def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:

@@ -46,9 +46,22 @@ def steady_motor(rng: np.random.Generator) -> Motor:
 
 def hysteresis_motor(rng: np.random.Generator) -> Motor:
     """Draw a steady motor whose hysteresis loses 10 to 30 % of what R loses at full speed."""
-    motor = steady_motor(rng)
+    return _with_hysteresis(steady_motor(rng), rng.uniform(0.1, 0.3))
+
+
+def slight_hysteresis_motor(rng: np.random.Generator) -> Motor:
+    """Draw a gear motor whose hysteresis loses 1 to 6 % of what R loses at full speed."""
+    return _with_hysteresis(gear_motor(rng), rng.uniform(0.01, 0.06))
+
+
+def strong_hysteresis_motor(rng: np.random.Generator) -> Motor:
+    """Draw a gear motor whose hysteresis loses 10 to 30 % of what R loses at full speed."""
+    return _with_hysteresis(gear_motor(rng), rng.uniform(0.1, 0.3))
+
+
+def _with_hysteresis(motor: Motor, share: float) -> Motor:
     full_speed = SUPPLY_V / motor.back_emf_constant
-    return replace(motor, hysteresis=rng.uniform(0.1, 0.3) * motor.resistance / full_speed)
+    return replace(motor, hysteresis=share * motor.resistance / full_speed)
 
 
 def slow_motor(rng: np.random.Generator) -> Motor:

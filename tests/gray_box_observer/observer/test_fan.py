@@ -144,7 +144,7 @@ def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Pa
     checkpoint.save(one, tmp_path / 'one.safetensors')
     checkpoint.load(other, tmp_path / 'one.safetensors')
     for observer in (one, other):
-        feed(observer, [part(recorded(FAN, LIVELY, 8.0, 5), 3000)], 13_000_000_000)
+        feed(observer, [part(recorded(FAN, LIVELY, 8.0, 5), 6000)], 13_000_000_000)
     before, after = one.motors['motor'], other.motors['motor']
     assert after.added_effects == before.added_effects == ('quadratic_friction',)
     assert before.estimate.value.tobytes() == after.estimate.value.tobytes()

@@ -16,7 +16,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import recurrence
 from gray_box_observer.settings.motor_configuration import COASTING
-from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 KNEE = 0.01
 """Share of the largest current at which a drop that follows its sign has half of its value."""
@@ -52,6 +53,8 @@ class Scene:
         fine: whether effects are told from each other, which takes more shapes than finding that
             there is one.
         has_rotor: whether the speed is a state of the white box.
+        turning_rad_s: the speed at which hysteresis would act, wherever it comes from; None where
+            hysteresis is identified.
     """
 
     voltage_v: Array
@@ -59,6 +62,7 @@ class Scene:
     speed_rad_s: Array | None
     fine: bool = False
     has_rotor: bool = False
+    turning_rad_s: Array | None = None
 
     @property
     def progress(self) -> Array:
@@ -182,6 +186,11 @@ def _back_emf(scene: Scene) -> Iterator[Shapes]:
         yield (-scene.speed_rad_s,)
 
 
+def _hysteresis(scene: Scene) -> Iterator[Shapes]:
+    if scene.turning_rad_s is not None:
+        yield (-np.abs(scene.turning_rad_s) * scene.current_a,)
+
+
 def _speed_delay(scene: Scene) -> Iterator[Shapes]:
     speed = scene.speed_rad_s
     if speed is not None:
@@ -190,6 +199,7 @@ def _speed_delay(scene: Scene) -> Iterator[Shapes]:
 
 
 COLOURED_NOISE = 'coloured_noise'
+HYSTERESIS = 'hysteresis'
 CHANGE = 'change'
 LOAD = 'load'
 
@@ -252,6 +262,13 @@ EFFECTS: dict[str, Effect] = {
             needs_speed=True,
         ),
         Effect(
+            HYSTERESIS,
+            _hysteresis,
+            'add hysteresis to {motor}.context_nodes: the resistance grows with the speed, by '
+            '{amount:.3g} V s/(rad A)',
+            credible=(0.0, math.inf),
+        ),
+        Effect(
             'speed_delay',
             _speed_delay,
             'stamp the speed when it was measured: it comes later than the current',
@@ -309,6 +326,39 @@ ESTIMATED_REMEDIES: dict[str, str] = dict.fromkeys(
     'take the filter off the current: {motor}.delay is estimated, and explains only a part',
 )
 """The same where the delay is estimated."""
+
+
+def scene_along(
+    white_box: WhiteBox,
+    voltage_v: Array,
+    current_a: Array,
+    speed_rad_s: Array | None,
+    turning_rad_s: Array | None,
+    *,
+    fine: bool = False,
+) -> Scene:
+    """Return what effects are made of.
+
+    Args:
+        white_box: of one motor.
+        voltage_v: shape (k,): held over every interval.
+        current_a: shape (k,): mean over it.
+        speed_rad_s: shape (k + 1,): measured; None where it is not.
+        turning_rad_s: shape (k + 1,): at which the motor turns; None: as the current says.
+        fine: as of the scene.
+    """
+    assert isinstance(white_box, MotorWhiteBox)
+    mean_rad_s = current_a * white_box.torque_constant
+    if turning_rad_s is not None:
+        mean_rad_s = interval_means(turning_rad_s)
+    return Scene(
+        voltage_v,
+        current_a,
+        None if speed_rad_s is None else interval_means(speed_rad_s),
+        fine=fine,
+        has_rotor=white_box.has_rotor,
+        turning_rad_s=None if HYSTERESIS in white_box.context_nodes else mean_rad_s,
+    )
 
 
 def possible_effects(scene: Scene) -> Iterator[tuple[Effect, list[Shapes]]]:

@@ -27,6 +27,7 @@ from gray_box_observer.fit_test.effects import (
     Shapes,
     interval_means,
     possible_effects,
+    scene_along,
 )
 from gray_box_observer.fit_test.evidence import NO_EVIDENCE, Evidence
 from gray_box_observer.fit_test.fitted_residual import fitted_residual_in_pieces
@@ -53,6 +54,7 @@ from gray_box_observer.fit_test.projection import (
     Projection,
     long_run_covariance,
 )
+from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
 from gray_box_observer.fit_test.rounding import rounding_errors
 from gray_box_observer.fit_test.smoothed_current import shows_colour, smoothing_doubts
 from gray_box_observer.fit_test.speed_difference import shown_by_speed, speed_amounts, without_speed
@@ -359,11 +361,9 @@ def analysis_in_pieces(
 def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
     """Return what effects are made of, along a free run."""
     speed = run.stretch.speed_rad_s[0] if white_box.speed_measured else None
-    return Scene(
-        run.stretch.voltage_v[0],
-        interval_means(run.current_a),
-        None if speed is None else interval_means(speed),
-        has_rotor=white_box.has_rotor,
+    turning_rad_s = run.speed_rad_s if isinstance(run, RotorFreeRun) else speed
+    return scene_along(
+        white_box, run.stretch.voltage_v[0], interval_means(run.current_a), speed, turning_rad_s
     )
 
 

@@ -21,10 +21,10 @@ from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.effects import (
     LATE,
     Effect,
-    Scene,
     Shapes,
     interval_means,
     possible_effects,
+    scene_along,
 )
 from gray_box_observer.fit_test.residual_analysis import EffectScore
 from gray_box_observer.white_box import MotorWhiteBox
@@ -257,8 +257,9 @@ def _balance_in_pieces(
     columns, target = integrated_regressors(
         white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
     )
-    mean_speed = interval_means(stretch.speed_rad_s[0]) if white_box.speed_measured else None
-    scene = Scene(stretch.voltage_v[0], interval_means(current_a), mean_speed, fine=True)
+    speed = stretch.speed_rad_s[0] if white_box.speed_measured else None
+    mean_a = interval_means(current_a)
+    scene = scene_along(white_box, stretch.voltage_v[0], mean_a, speed, speed, fine=True)
     signals = [*columns[0].T, target[0]]
     rows = [_windowed(np.where(whole, np.stack(signals), 0.0), whole)]
     candidates = []

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gray_box_observer.context_nodes import Verdict, VerdictSettings
-from gray_box_observer.fit_test.policy import SHORTEST
-from gray_box_observer.observer.motor_form import MEASURED
+from gray_box_observer.fit_test.policy import SHORT, SHORTEST
+from gray_box_observer.observer.motor_form import MEASURED, ROTOR
 from gray_box_observer.observer.verdict_advice import ADVICE
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
@@ -104,7 +104,8 @@ def _of_short_time_constant(
         return None
     interval_s = motor['duration_s'] / motor['samples']
     time_constant_s = values[0] / values[1]
-    if not time_constant_s < max(SHORTEST) * interval_s:
+    limits = SHORT if motor['speed_source'] == ROTOR else SHORTEST
+    if not time_constant_s < max(limits) * interval_s:
         return None
     remedy = 'sample faster'
     if not stamps_exact:

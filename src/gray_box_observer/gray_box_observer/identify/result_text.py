@@ -55,7 +55,7 @@ def write_text(
         stamps_exact: motors whose user has said that voltage acts at the instant of its stamp.
     """
     has_colour = stream.isatty()
-    remedies = [*warnings, *(fit.sentence for fit in fits.values())]
+    remedies = [fit.sentence for fit in fits.values()]
     for name, fit in fits.items():
         print(fit_line(name, fit, has_colour=has_colour), file=stream)
     for name, motor in result['motors'].items():
@@ -71,7 +71,7 @@ def write_text(
         remedies += steps
         for line in _lines(motor, steps):
             print(f'  {printable(line)}', file=stream)
-    place = place_of_parameters(remedies)
+    place = place_of_parameters([*remedies, *warnings])  # what was found out comes first
     if place is not None:
         print(printable(place), file=stream)
 

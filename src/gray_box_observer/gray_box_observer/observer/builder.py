@@ -30,6 +30,7 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
 from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice
 from gray_box_observer.observer.motor_form import (
+    HYSTERESIS,
     MEASURED,
     POSSIBLE_EFFECTS,
     ROTOR,
@@ -205,7 +206,11 @@ def _form_choice(
             sources = (THESIS, ROTOR)
             reason = 'a speed of Kt i is assumed, as in the thesis, until the data call for a rotor'
     effects, why_none = _open_effects(configuration, motors, sources)
-    return FormChoice(sources[0], reason, OpenForms(make, sources, effects), why_none)
+    of_rotor: tuple[str, ...] = ()
+    if effects and ROTOR in sources and HYSTERESIS not in effects:
+        has_it = motors[0].with_rotor().has_value(HYSTERESIS)
+        of_rotor = () if has_it else (HYSTERESIS,)  # a default list gives way to those of a rotor
+    return FormChoice(sources[0], reason, OpenForms(make, sources, effects, of_rotor), why_none)
 
 
 def _open_effects(
@@ -251,6 +256,8 @@ def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]
         return f'context_update is {configuration["context_update"]}, and a rotor needs recursive'
     if whole_motor.library() is None:
         return 'the package was built without a C compiler'
+    if not motors[0].has_value('resistance'):
+        return 'resistance is neither among context_nodes nor known'
     try:
         motors[0].with_rotor()
     except ConfigurationError as error:

@@ -15,6 +15,7 @@ from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import FEW_CANDIDATES
 from gray_box_observer.observer.motor_form import (
+    HYSTERESIS,
     MEASURED,
     QUADRATIC_FRICTION,
     RIVALS,
@@ -36,6 +37,7 @@ NODES = {
     'current_lag': CURRENT_LAG,
     'delay': CURRENT_LAG,
     LOAD: LOAD_TORQUE,
+    HYSTERESIS: HYSTERESIS,
     COASTING: COASTING,
 }
 """Effect that a form may have for a suspected one, by the name of that. What is late by a part of

@@ -19,7 +19,13 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import LATE
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.motor_form import ROTOR, WORK_A_SAMPLE, FormKind, MotorForm
+from gray_box_observer.observer.motor_form import (
+    HYSTERESIS,
+    ROTOR,
+    WORK_A_SAMPLE,
+    FormKind,
+    MotorForm,
+)
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.order_statistics import usual_interval
@@ -157,8 +163,10 @@ class FormFitter:
     def settled(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form again, until its dead zone and its lag stay; other forms stay as they are.
 
-        Where what it leaves looks like a lag first of all, it gets one.
+        Where what it leaves looks like a lag first of all, it gets one; a plain rotor gets a
+        hysteresis likewise.
         """
+        fit = yield from self._with_hysteresis(fit, content)
         if DEAD_ZONE in fit.kind.effects:
             fit = yield from self._with_settled_zone(fit, content)
         plain = fit
@@ -185,6 +193,16 @@ class FormFitter:
             kind = replace(kind, dead_zone_v=dead_zone_v)
             fit = yield from self.again(kind, fit, content)
         return fit
+
+    def _with_hysteresis(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a plain rotor with hysteresis where what it leaves looks like that, first of all."""
+        suspects = fit.form.fit.assessment(0).suspects
+        is_suspected = fit.is_misfit and bool(suspects) and suspects[0].effect == HYSTERESIS
+        kind = FormKind(ROTOR, (HYSTERESIS,))
+        if fit.kind != FormKind(ROTOR) or not (is_suspected and self._open.contains(kind)):
+            return fit
+        other = yield from self.first(kind, content)
+        return fit if other.is_misfit else other
 
     def _is_late(self, fit: FormFit) -> bool:
         """Tell whether what a form leaves looks like a lag of the current, first of all."""

@@ -57,10 +57,11 @@ OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS, MEASURED: ROTOR}
 """What else the speed may come from; a measured one is left out where its reading stands still."""
 
 QUADRATIC_FRICTION = 'quadratic_friction'
+HYSTERESIS = 'hysteresis'
 
 POSSIBLE_EFFECTS = (
     *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG, COASTING),
-    *(LOAD_TORQUE, QUADRATIC_FRICTION, VARYING_LOAD),
+    *(HYSTERESIS, LOAD_TORQUE, QUADRATIC_FRICTION, VARYING_LOAD),
 )
 """Effects of driver, sensor and load that data may add: names of their context nodes, and three
 that have none, a lag of the current sensor, a driver that coasts and a load that varies."""
@@ -85,6 +86,7 @@ _IN_WORDS = {
     COASTING: 'a driver that coasts',
     LOAD_TORQUE: 'a load',
     QUADRATIC_FRICTION: 'a quadratic friction',
+    HYSTERESIS: 'hysteresis',
     VARYING_LOAD: 'a load that varies',
 }
 

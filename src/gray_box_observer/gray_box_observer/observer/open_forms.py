@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
-from gray_box_observer.observer.motor_form import SOURCES_OF, FormKind, FormMaker
+from gray_box_observer.observer.motor_form import ROTOR, SOURCES_OF, FormKind, FormMaker
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
     CURRENT_LAG,
@@ -25,11 +25,13 @@ class OpenForms:
         make: makes one of them.
         sources: of the speed.
         effects: that may be added.
+        effects_of_rotor: that may be added to a rotor alone: the others have them.
     """
 
     make: FormMaker
     sources: tuple[str, ...]
     effects: tuple[str, ...] = ()
+    effects_of_rotor: tuple[str, ...] = ()
 
     @property
     def is_choice(self) -> bool:
@@ -39,7 +41,8 @@ class OpenForms:
     def contains(self, kind: FormKind) -> bool:
         """Tell whether a form is one of these, and adds no effect twice or where it cannot act."""
         effects = kind.effects
-        if kind.source not in self.sources or not all(name in self.effects for name in effects):
+        possible = self.effects + (self.effects_of_rotor if kind.source == ROTOR else ())
+        if kind.source not in self.sources or not all(name in possible for name in effects):
             return False
         can_act = all(kind.source in SOURCES_OF.get(name, self.sources) for name in effects)
         zone_is_known = 0.0 <= kind.dead_zone_v <= (LARGEST_ZONE_V if DEAD_ZONE in effects else 0.0)

@@ -386,9 +386,10 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'effects',
         'auto',
         'auto adds to context_nodes what the data show of driver and sensor (brush_drop, '
-        'voltage_offset, dead_zone) and on the shaft of a rotor (load_torque, quadratic_friction '
-        'of a fan); a lag of the current sensor (current_lag), a driver that coasts (coasting) and '
-        'a load that varies (varying_load) are added to the physics. none never adds anything.',
+        'voltage_offset, dead_zone), of the iron (hysteresis) and on the shaft of a rotor '
+        '(load_torque, quadratic_friction of a fan); a lag of the current sensor (current_lag), a '
+        'driver that coasts (coasting) and a load that varies (varying_load) are added to the '
+        'physics. none never adds anything.',
         choices=('auto', 'none'),
     ),
     ParameterSpec(
