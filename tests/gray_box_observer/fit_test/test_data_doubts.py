@@ -265,6 +265,49 @@ def test_a_speed_in_another_unit_is_told_by_kb(k: int, unit: str, factor: float)
     assert unit in first.remedy
 
 
+COUNTS = 2000
+
+
+def _counted(samples: Array, *, as_rate: bool) -> Array:
+    """Return samples whose speed is the count of an encoder, or its rate in counts per second."""
+    turned_rad = np.cumsum(samples[SPEED] * samples[INTERVAL])
+    count = np.floor(turned_rad * COUNTS / (2.0 * np.pi))
+    changed = samples.copy()
+    changed[SPEED] = np.diff(count, prepend=count[0]) * RATE_HZ if as_rate else count
+    return changed
+
+
+def _only_suspect(plant: PlantParameters, samples: Array, **given: float) -> Suspect:
+    stated = {'torque_constant': plant.torque_constant, **given}
+    values = {f'motor.{name}': value for name, value in stated.items()}
+    motor = Configuration.from_flat(values).motors['motor']
+    white_box = motor.white_box(speed_measured=True)
+    (suspect,) = doubts(white_box, samples, np.ones(3), motor).suspects
+    return suspect
+
+
+@drawn_motor
+@pytest.mark.parametrize('as_rate', [False, True])
+def test_an_encoder_without_its_scale_is_told_with_its_counts(k: int, as_rate: bool) -> None:
+    plant, samples = _gear_motors()[k]
+    counted = _counted(samples, as_rate=as_rate)
+    suspect = _only_suspect(plant, counted, back_emf_constant=plant.back_emf_constant)
+    assert suspect.effect == ('units_of_speed' if as_rate else 'angle_for_speed')
+    counts = float(suspect.remedy.removeprefix('speed=diff(NAME)*2*pi/').split()[0])
+    assert counts == pytest.approx(COUNTS, rel=0.05)
+
+
+@drawn_motor
+def test_an_angle_for_a_speed_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    turned = samples.copy()
+    turned[SPEED] = np.cumsum(samples[SPEED] * samples[INTERVAL])
+    suspect = _only_suspect(plant, turned, back_emf_constant=plant.back_emf_constant)
+    assert suspect.effect == 'angle_for_speed'
+    assert 'diff(NAME)' in suspect.remedy
+    assert _only_suspect(plant, turned).remedy.startswith('speed=diff(NAME)*2*pi/COUNTS')
+
+
 @drawn_motor
 def test_a_duty_cycle_for_a_voltage_is_told(k: int) -> None:
     plant, samples = _gear_motors()[k]

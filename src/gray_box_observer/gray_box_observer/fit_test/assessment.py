@@ -17,6 +17,7 @@ CONTRADICTIONS = {
     'units_of_voltage': 'The voltage seems to be in another unit than V',
     'units_of_current': 'Current or torque seems to be in another unit than stated',
     'units_of_speed': 'The speed seems to be in another unit than rad/s',
+    'angle_for_speed': 'The speed seems to be an angle',
     'voltage_sign': 'The voltage seems to have the wrong sign',
     'torque_sign': 'Current and torque seem to have the wrong sign',
     'speed_sign': 'The speed seems to have the wrong sign',

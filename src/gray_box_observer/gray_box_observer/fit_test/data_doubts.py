@@ -22,6 +22,7 @@ from gray_box_observer.fit_test.back_emf_fit import (
     fit_back_emf,
     noise_share,
 )
+from gray_box_observer.fit_test.encoder_doubts import doubt_of_encoder
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import median, quantile
@@ -135,8 +136,11 @@ def doubts(
     balance = fit_back_emf(white_box, samples) if white_box.speed_measured else None
     voltage = _doubt_of_voltage(samples, balance, motor)
     current = None if voltage else _doubt_of_current(white_box, samples, balance, theta, motor)
-    findings = [suspect for suspect in (time, voltage, current) if suspect is not None]
-    if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
+    encoder = None
+    if balance is not None and not (time or voltage):
+        encoder = doubt_of_encoder(white_box, samples, balance, motor)
+    findings = [one for one in (time, voltage, encoder, current) if one is not None]
+    if balance is None or voltage or encoder:  # with the voltage in mV, Kb follows from it
         return Doubts(tuple(findings), balance)
     of_back_emf = _doubts_of_back_emf(white_box, balance, motor)
     return Doubts((*findings, *of_back_emf), balance)

@@ -45,6 +45,7 @@ DOUBTS = (
     'units_of_voltage',
     'units_of_time',
     'units_of_speed',
+    'angle_for_speed',
     'speed_sign',
     'voltage_sign',
     'torque_sign',
