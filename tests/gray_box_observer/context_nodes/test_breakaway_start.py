@@ -11,9 +11,11 @@ from dc_motor_sim.plant import PlantParameters
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.breakaway_start import begins_held, breakaway_starts
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.rest_search import ends_of_rest
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import fit_window
+from gray_box_observer.context_nodes.rotor.window_search import Search, SearchEnd
 from gray_box_observer.white_box import MotorWhiteBox
 
 MOTOR = PlantParameters(
@@ -104,3 +106,17 @@ def test_a_rotor_that_turns_at_first_without_a_current_is_believed() -> None:
     fit = fitted(Window.from_samples(BOX, samples))
     assert fit.starts[0, 1] > 100.0
     assert fit.theta[1] == pytest.approx(MOTOR.resistance, rel=0.03)
+
+
+def test_behind_a_driver_that_coasts_no_rotor_is_taken_to_rest() -> None:
+    """Many histories begin without a current there, and the rotor turns on."""
+    samples = samples_under(np.concatenate([np.full(300, 8.0), STEPS, np.full(300, 6.0)]))
+    part = np.concatenate([samples[:, 300:700], samples[:, 800:]], axis=1)
+    part[0, [0, 400]] = 0.0
+    part[2, [0, 400]] = 0.0
+    window = Window.from_samples(BOX, part)
+    fit = fitted(window)
+    assert (np.abs(fit.starts[:, 1]) > 20.0).all()
+    search = Search(BOX, window, VAGUE, fit.logarithms)
+    search.starts = fit.starts
+    assert completed(ends_of_rest(SearchEnd(fit, search, fit.logarithms), [])) == []

@@ -56,15 +56,18 @@ def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[Search
 
 
 def _rests(best: SearchEnd) -> tuple[Array, bool]:
-    """Return which histories may begin at rest, shape (history,), and whether one does not yet."""
+    """Return which histories may begin at rest, shape (history,), and whether one does not yet.
+
+    Behind a driver that coasts many begin without a current, and the rotor turns: none is asked.
+    """
     search = best.search
     window = search.window
-    if window.speed_output is not None:
-        return np.zeros(len(window.histories), dtype=bool), False
-    place = search.white_box.context_nodes.index('inertia')
-    variance = float(best.fit.covariance(search.prior)[place, place])
     first_a = np.array([history.current_a[0] for history in window.histories])
     has_no_current = np.abs(first_a) < NO_CURRENT * best.fit.noise_a
+    if window.speed_output is not None or np.count_nonzero(has_no_current) > 1:
+        return np.zeros_like(has_no_current), False
+    place = search.white_box.context_nodes.index('inertia')
+    variance = float(best.fit.covariance(search.prior)[place, place])
     emf_v = search.starts[:, State.SPEED] * float(search.white_box.known['back_emf_constant'])
     turns = has_no_current & (np.abs(emf_v) > STANDSTILL * window.largest_voltage_v)
     is_open = OPEN**2 < variance < VAGUE**2
