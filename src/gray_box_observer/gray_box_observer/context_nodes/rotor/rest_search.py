@@ -2,8 +2,8 @@
 
 Under a voltage that has not turned yet, R, L, 1/J and the first speed explain each other: times s
 the one, and ``(1 - s) V_0 / Kb`` the other (docs/METHOD.md, The whole motor). A motor that has no
-current when its record begins stands still, as good as always. So a rotor that was to turn then is
-asked whether one at rest explains the samples as well.
+current where its history begins mostly stands still, and surely where it has no voltage either. So
+a rotor that was to turn then is asked whether one at rest explains the samples as well.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
+from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_search import SearchEnd, promising_searches
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
@@ -22,6 +23,9 @@ NO_CURRENT = 4.0
 
 STANDSTILL = 0.005
 """Share of the largest voltage up to which a first back-EMF is that of a rotor at rest."""
+
+NO_VOLTAGE = 0.02
+"""The same of the first voltage, up to which there is none."""
 
 OPEN = 0.05
 """Standard deviation of the inertia's logarithm from which the first speed may hide in it."""
@@ -58,6 +62,8 @@ def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[Search
 def _rests(best: SearchEnd) -> tuple[Array, bool]:
     """Return which histories may begin at rest, shape (history,), and whether one does not yet.
 
+    Where the inertia is open the first speed may hide in it: a rotor that surely rests is asked.
+
     Behind a driver that coasts many begin without a current, and the rotor turns: none is asked.
     """
     search = best.search
@@ -70,5 +76,17 @@ def _rests(best: SearchEnd) -> tuple[Array, bool]:
     variance = float(best.fit.covariance(search.prior)[place, place])
     emf_v = search.starts[:, State.SPEED] * float(search.white_box.known['back_emf_constant'])
     turns = has_no_current & (np.abs(emf_v) > STANDSTILL * window.largest_voltage_v)
-    is_open = OPEN**2 < variance < VAGUE**2
-    return (has_no_current if is_open else turns), bool(turns.any())
+    if OPEN**2 < variance < VAGUE**2 and has_no_voltage(window, has_no_current):
+        return has_no_current, bool(turns.any())
+    return turns, bool(turns.any())
+
+
+def has_no_voltage(window: Window, rests: Array) -> bool:
+    """Tell whether some histories begin without a voltage: what has no current rests there.
+
+    Args:
+        window: the samples.
+        rests: shape (history,): which histories.
+    """
+    first_v = np.array([history.voltage_v[0] for history in window.histories])
+    return bool((np.abs(first_v[rests]) < NO_VOLTAGE * window.largest_voltage_v).all())

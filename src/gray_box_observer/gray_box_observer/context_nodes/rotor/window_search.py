@@ -140,7 +140,7 @@ class Search:
         voltage_noise: that the current does not answer: what it does is taken off.
         looks_for_noise: whether there may be any.
         logarithms: shape (parameter,): where it stands.
-        begins_at_rest: whether it is told that a rotor is at rest first.
+        rests: as above.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
         promised_gain: of chi-square by the last step that was tried, if all were straight.
         beyond: shape (parameter,): where that leads.
@@ -179,7 +179,7 @@ class Search:
         self._start_precision = start_precision(window, self._start_std)
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
-        self.begins_at_rest = rests is not None
+        self.rests = rests
         if rests is not None:
             self.starts[rests, State.SPEED] = 0.0
             rest_std = window.reading_noise_a + self._floor_a, AT_REST * fastest + slowest
