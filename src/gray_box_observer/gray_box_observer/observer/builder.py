@@ -26,11 +26,11 @@ from gray_box_observer.context_nodes import (
 from gray_box_observer.context_nodes.native import filtered_speed, whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch, HiddenRotor
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.fit_test.effects import HYSTERESIS
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
 from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice
 from gray_box_observer.observer.motor_form import (
-    HYSTERESIS,
     MEASURED,
     POSSIBLE_EFFECTS,
     ROTOR,

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import COLOURED_NOISE, LOAD
+from gray_box_observer.fit_test.effects import COLOURED_NOISE, HYSTERESIS, LOAD
 from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET, TWINS
 from gray_box_observer.observer.form_trial import FEW_CANDIDATES
 from gray_box_observer.observer.motor_form import (
-    HYSTERESIS,
     MEASURED,
     QUADRATIC_FRICTION,
     RIVALS,

@@ -17,10 +17,9 @@ from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY
 from gray_box_observer.context_nodes.rotor.window import delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
-from gray_box_observer.fit_test.effects import LATE
+from gray_box_observer.fit_test.effects import HYSTERESIS, LATE
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import (
-    HYSTERESIS,
     ROTOR,
     WORK_A_SAMPLE,
     FormKind,

@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.fit_test.effects import HYSTERESIS
 from gray_box_observer.fit_test.fitted_residual import fitted_residual_in_pieces
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.motor_under_test import knows_voltage_noise
@@ -57,7 +58,6 @@ OTHER_SOURCE = {THESIS: ROTOR, ROTOR: THESIS, MEASURED: ROTOR}
 """What else the speed may come from; a measured one is left out where its reading stands still."""
 
 QUADRATIC_FRICTION = 'quadratic_friction'
-HYSTERESIS = 'hysteresis'
 
 POSSIBLE_EFFECTS = (
     *(LOST_VOLTAGE, OFFSET, DEAD_ZONE, CURRENT_LAG, COASTING),

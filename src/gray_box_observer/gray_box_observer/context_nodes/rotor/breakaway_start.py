@@ -1,4 +1,4 @@
-"""Where a fit of the whole motor begins that friction has held first, under a voltage that rises.
+"""Where a fit begins of a motor whose rotor friction holds first, under a voltage that rises.
 
 As long as the rotor is held, voltage and current are in proportion: their ratio is the resistance.
 The current at which that ends is what breaks the rotor away, and tells its dry friction. The
@@ -23,12 +23,12 @@ FEWEST = 16
 """Samples of a hold that tells a resistance."""
 
 LONGER = 1.25
-"""Times the length of a hold that has passed of which the next one is tried."""
+"""Factor from the length of one hold that is tried to that of the next."""
 
 UNSETTLED = 4
 """Of a hold the first part by this number, in which the current comes to follow the voltage."""
 
-AT_REST = 4.0
+NO_CURRENT = 4.0
 """Standard deviations of the readings' noise up to which a history begins without a current."""
 
 RISES = 0.25
@@ -60,12 +60,10 @@ def breakaway_starts(
         window: the samples.
         starts: shape (parameter,) each: what they tell of L/R and of R J is kept.
     """
-    nodes = white_box.context_nodes
-    if DRY_FRICTION not in nodes or 'resistance' not in nodes:
-        return
-    hold = next(_holds(window), None)
+    hold = _first_hold(white_box, window)
     if hold is None:
         return
+    nodes = white_box.context_nodes
     resistance, breakaway_a = hold
     lower, upper = bounds(white_box.parameters)
     for start in starts:
@@ -87,16 +85,19 @@ def begins_held(white_box: MotorWhiteBox, samples: Array) -> bool:
         samples: shape (signal, n), as a replay buffer gives them of one motor.
     """
     window = Window.from_samples(white_box, samples)
-    return next(_holds(replace(window, histories=window.histories[:1])), None) is not None
+    return _first_hold(white_box, replace(window, histories=window.histories[:1])) is not None
 
 
-def _holds(window: Window) -> Iterator[tuple[float, float]]:
-    """Yield resistance and breakaway current of every history that begins with a hold."""
+def _first_hold(white_box: MotorWhiteBox, window: Window) -> tuple[float, float] | None:
+    """Return resistance and breakaway current of the first history that begins with a hold.
+
+    None where none does, or where resistance and dry friction are not both identified.
+    """
+    if not {DRY_FRICTION, 'resistance'} <= set(white_box.context_nodes):
+        return None
     noise_a = max(window.reading_noise_a, LEAST_NOISE * window.spread_a)
-    for history in window.histories:
-        hold = _hold(history, noise_a)
-        if hold is not None:
-            yield hold
+    holds = (_hold(history, noise_a) for history in window.histories)
+    return next((hold for hold in holds if hold is not None), None)
 
 
 def _hold(history: History, noise_a: float) -> tuple[float, float] | None:
@@ -107,7 +108,7 @@ def _hold(history: History, noise_a: float) -> tuple[float, float] | None:
         noise_a: standard deviation of the current's noise.
     """
     current = history.current_a
-    if abs(current[0]) > AT_REST * noise_a:
+    if abs(current[0]) > NO_CURRENT * noise_a:
         return None
     count = FEWEST
     hold = None

@@ -13,13 +13,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
+from gray_box_observer.context_nodes.rotor.breakaway_start import NO_CURRENT
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_search import SearchEnd, promising_searches
+from gray_box_observer.context_nodes.rotor.window_search import (
+    Search,
+    SearchEnd,
+    promising_searches,
+)
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
-
-NO_CURRENT = 4.0
-"""Standard deviations of the noise up to which a history begins without a current."""
 
 STANDSTILL = 0.005
 """Share of the largest voltage up to which a first back-EMF is that of a rotor at rest."""
@@ -45,7 +47,8 @@ def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[Search
         starts: shape (parameter,) each: where to search from beside that end.
 
     Returns:
-        The end; none where nothing is asked, or nothing is found.
+        The end; none where nothing is asked, or nothing is found. Where the rotor does not surely
+        rest the search goes on from there with a first speed that is free: that end is returned.
     """
     rests, turns = _rests(best)
     if not rests.any():
@@ -55,7 +58,13 @@ def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[Search
     searches = yield from promising_searches(last.white_box, last.window, last.prior, begins, rests)
     if not searches:
         return []
-    end = yield from bounded(searches[0].run(), MOST_RUNS * best.fit.runs.work)
+    most = MOST_RUNS * best.fit.runs.work
+    end = yield from bounded(searches[0].run(), most)
+    if end is not None and not surely_rests(last.window, rests, end.fit.noise_a):
+        free = Search(last.white_box, last.window, last.prior, end.fit.logarithms)
+        free.starts = end.fit.starts.copy()
+        yield from free.settle()
+        end = (yield from bounded(free.run(), most)) if free.is_valid else None
     return [] if end is None else [end]
 
 
@@ -76,17 +85,19 @@ def _rests(best: SearchEnd) -> tuple[Array, bool]:
     variance = float(best.fit.covariance(search.prior)[place, place])
     emf_v = search.starts[:, State.SPEED] * float(search.white_box.known['back_emf_constant'])
     turns = has_no_current & (np.abs(emf_v) > STANDSTILL * window.largest_voltage_v)
-    if OPEN**2 < variance < VAGUE**2 and has_no_voltage(window, has_no_current):
+    if OPEN**2 < variance < VAGUE**2 and surely_rests(window, has_no_current, best.fit.noise_a):
         return has_no_current, bool(turns.any())
     return turns, bool(turns.any())
 
 
-def has_no_voltage(window: Window, rests: Array) -> bool:
-    """Tell whether some histories begin without a voltage: what has no current rests there.
+def surely_rests(window: Window, rests: Array, noise_a: float) -> bool:
+    """Tell whether histories that begin without a current have no voltage and get no current.
 
     Args:
         window: the samples.
         rests: shape (history,): which histories.
+        noise_a: standard deviation of the current's noise.
     """
-    first_v = np.array([history.voltage_v[0] for history in window.histories])
-    return bool((np.abs(first_v[rests]) < NO_VOLTAGE * window.largest_voltage_v).all())
+    firsts = [(history.voltage_v[0], history.current_a[1]) for history in window.histories]
+    largest = NO_VOLTAGE * window.largest_voltage_v, NO_CURRENT * noise_a
+    return bool((np.abs(np.array(firsts)[rests]) < largest).all())

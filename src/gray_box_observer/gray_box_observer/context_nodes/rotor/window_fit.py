@@ -16,7 +16,7 @@ from gray_box_observer.context_nodes.pieces import Pieces, bounded, completed
 from gray_box_observer.context_nodes.rotor.breakaway_start import breakaway_starts
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
-from gray_box_observer.context_nodes.rotor.rest_search import ends_of_rest, has_no_voltage
+from gray_box_observer.context_nodes.rotor.rest_search import ends_of_rest
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_noise import voltage_noise_of
@@ -121,14 +121,10 @@ def _likeliest(ends: Sequence[SearchEnd]) -> list[Fit]:
         return end.fit.chi_square * (end.fit.noise_a / noise_a) ** 2 + _size(end.fit)
 
     ends = sorted(ends, key=cost)
-    rests = [end for end in ends if _surely_rests(end.search)]
+    rests = [end for end in ends if end.search.rests is not None]
     if rests and cost(rests[0]) - cost(ends[0]) < REST:
         ends = rests
     return [end.fit for end in ends]
-
-
-def _surely_rests(search: Search) -> bool:
-    return search.rests is not None and has_no_voltage(search.window, search.rests)
 
 
 def _explains_more(plain: Fit, aware: Fit) -> bool:

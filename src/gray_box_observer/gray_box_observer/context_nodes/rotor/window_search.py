@@ -79,9 +79,9 @@ FEW = 3
 MOST_SETTLED = 4
 """Steps at most in which first states are moved by themselves where the parameters are believed."""
 
-AT_REST = 1e-3
-"""Standard deviation of the back-EMF of a rotor that is at rest, as a share of the largest that a
-first speed is likely to have."""
+STILL = 2e-3
+"""Standard deviation of the back-EMF of a rotor that is at rest, as a share of the largest voltage,
+beside what the noise of a current of none may hide."""
 
 LEAST_START_GAIN = 1.0
 """Of chi-square, from which first states are moved by themselves before all else is."""
@@ -182,8 +182,11 @@ class Search:
         self.rests = rests
         if rests is not None:
             self.starts[rests, State.SPEED] = 0.0
-            rest_std = window.reading_noise_a + self._floor_a, AT_REST * fastest + slowest
-            self._start_std[rests] = rest_std
+            noise_a = window.reading_noise_a + self._floor_a
+            ohms = white_box.values(np.exp(self.logarithms))['resistance']
+            still_v = STILL * window.largest_voltage_v + ohms * noise_a
+            kb = float(white_box.known['back_emf_constant'])
+            self._start_std[rests] = noise_a, still_v / kb + slowest
             self._start_precision = start_precision(window, self._start_std)
         self._runs: FreeRuns | None = None
         self.scale_a = np.inf
