@@ -16,9 +16,9 @@ from gray_box_observer.context_nodes.measured_speed.output_fit import (
 )
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.rotor.history_unknowns import CurrentSensor
-from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
+from gray_box_observer.context_nodes.rotor.logarithms import RIVAL, LogPrior
 from gray_box_observer.context_nodes.rotor.window import Window
-from gray_box_observer.context_nodes.rotor.window_fit import RIVAL, with_rivals
+from gray_box_observer.context_nodes.rotor.window_fit import with_rivals
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 SHARES = (0.7, 0.3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ from gray_box_observer.context_nodes.recursive.normal_equations import shortest_
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.white_box.interface import Array
+
+RIVAL = 9.0
+"""Difference of chi-square up to which another optimum is as likely as not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,19 @@ class Fit:
         """Shape (parameter,)."""
         result: Array = np.exp(self.logarithms)
         return result
+
+    @property
+    def noise_size(self) -> float:
+        """Log-determinant of the noise of all samples: the larger noise is the worse fit."""
+        return 2.0 * self.runs.residual_a.size * math.log(self.noise_a)
+
+    def cost(self, noise_a: float) -> float:
+        """Minus twice the log-likelihood.
+
+        Args:
+            noise_a: standard deviation of the noise in which chi-square counts.
+        """
+        return self.chi_square * (self.noise_a / noise_a) ** 2 + self.noise_size
 
     def covariance(self, prior: LogPrior) -> Array:
         """Of the logarithms, shape (parameter, parameter), by the samples and a prior.

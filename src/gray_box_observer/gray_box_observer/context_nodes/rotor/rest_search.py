@@ -14,6 +14,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
 from gray_box_observer.context_nodes.rotor.breakaway_start import NO_CURRENT
+from gray_box_observer.context_nodes.rotor.logarithms import RIVAL, Fit
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_search import (
     Search,
@@ -60,12 +61,20 @@ def ends_of_rest(best: SearchEnd, starts: Sequence[Array]) -> Pieces[list[Search
         return []
     most = MOST_RUNS * best.fit.runs.work
     end = yield from bounded(searches[0].run(), most)
-    if end is not None and not surely_rests(last.window, rests, end.fit.noise_a):
+    if end is None or _is_far(end.fit, best.fit):
+        return []
+    if not surely_rests(last.window, rests, end.fit.noise_a):
         free = Search(last.white_box, last.window, last.prior, end.fit.logarithms)
         free.starts = end.fit.starts.copy()
         yield from free.settle()
         end = (yield from bounded(free.run(), most)) if free.is_valid else None
     return [] if end is None else [end]
+
+
+def _is_far(fit: Fit, best: Fit) -> bool:
+    """Tell whether a fit explains so much less than another that it is no rival of it."""
+    noise_a = min(fit.noise_a, best.noise_a)
+    return fit.cost(noise_a) - best.cost(noise_a) > RIVAL
 
 
 def _rests(best: SearchEnd) -> tuple[Array, bool]:

@@ -15,7 +15,7 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces, bounded, completed
 from gray_box_observer.context_nodes.rotor.breakaway_start import breakaway_starts
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns
-from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.logarithms import RIVAL, Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rest_search import ends_of_rest
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -40,9 +40,6 @@ RESOLVED = 2.0
 
 OTHERS = (0.2, 0.45, 3.0)
 """Times the inductance found from which it is searched again then."""
-
-RIVAL = 9.0
-"""Difference of chi-square up to which another optimum is as likely as not."""
 
 STUCK = 2.0
 """Gain of chi-square that the equations promise, and no step brings, from which a search has ended
@@ -94,10 +91,10 @@ def fit_window(
             ends.append(end)
     if not ends:
         return None
-    yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
+    yield from _leap(min(ends, key=lambda end: end.fit.noise_size), ends)
     if tries_others:
-        yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
-    best_end = min(ends, key=lambda end: _size(end.fit))
+        yield from _try_others(min(ends, key=lambda end: end.fit.noise_size), ends)
+    best_end = min(ends, key=lambda end: end.fit.noise_size)
     ends += yield from ends_of_rest(best_end, begins if tries_others else ())
     best, *others = _likeliest(ends)
     if best.voltage_noise is not NO_NOISE and tries_others:
@@ -105,7 +102,7 @@ def fit_window(
         plain = yield from bounded(pieces, MOST_PLAIN_RUNS * best.runs.work)
         if plain is not None and _explains_more(plain, best):
             return plain
-    worse = [_size(one) - _size(best) + one.chi_square - best.chi_square for one in others]
+    worse = [one.noise_size - best.noise_size + one.chi_square - best.chi_square for one in others]
     return with_rivals(best, others, worse, prior)
 
 
@@ -117,12 +114,9 @@ def _likeliest(ends: Sequence[SearchEnd]) -> list[Fit]:
     """
     noise_a = min(end.fit.noise_a for end in ends)
 
-    def cost(end: SearchEnd) -> float:
-        return end.fit.chi_square * (end.fit.noise_a / noise_a) ** 2 + _size(end.fit)
-
-    ends = sorted(ends, key=cost)
+    ends = sorted(ends, key=lambda end: end.fit.cost(noise_a))
     rests = [end for end in ends if end.search.rests is not None]
-    if rests and cost(rests[0]) - cost(ends[0]) < REST:
+    if rests and rests[0].fit.cost(noise_a) - ends[0].fit.cost(noise_a) < REST:
         ends = rests
     return [end.fit for end in ends]
 
@@ -192,11 +186,6 @@ def is_resolved(white_box: MotorWhiteBox, interval_s: float, theta: Array) -> bo
     values = white_box.values(theta)
     slowest_s = RESOLVED * interval_s
     return bool(values['inductance'] > slowest_s * values['resistance'])
-
-
-def _size(fit: Fit) -> float:
-    """Log-determinant of the noise of all samples: the larger noise is the worse fit."""
-    return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
 
 
 def search_from(
