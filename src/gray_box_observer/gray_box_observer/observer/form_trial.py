@@ -82,6 +82,12 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
 
+TOGETHER = (
+    '; two effects that come together are not tried: declare speed_source: rotor, and name them in '
+    'context_nodes'
+)
+"""What is said where a rotor with one effect does not explain the data."""
+
 _RESISTANCE = 'resistance'
 _DECISIVE = (_RESISTANCE, 'inertia')
 
@@ -214,6 +220,8 @@ class FormTrial:
             times = f'{number} trials' if number > 1 else 'one trial'
             here = self._start.kind.in_words
             because = f'{here} does not explain the data; after {times} {", ".join(reasons)}'
+            if any(kind.source == ROTOR and kind.effects for kind in candidates):
+                because += TOGETHER
             return TrialOutcome(None, because)
         form = outcome.form
         assert form is not None

@@ -39,11 +39,12 @@ MEMORY = 0.98
 SHARP = 0.3
 """Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
 
-SHARP_FRICTION = 0.1
-"""The same of a friction beside one that grows with the square of the speed.
+SHARP_SHARE = 0.1
+"""The same of inertia and frictions, which share what is known well of their sum.
 
-Three frictions share what is known well of their sum. Where one is off by a quarter, a Gaussian of
-logarithms is not near enough.
+Under a ramp the acceleration takes a constant torque, as dry friction does. Where one of them is
+off by a quarter, a Gaussian of logarithms is not near enough: windows at other values would turn
+the sum that they know, and seem to know the parts.
 """
 
 FEWEST_MOVES = 3
@@ -112,9 +113,8 @@ class WindowLearner:
         nothing = np.zeros_like(theta)
         stated_std = nothing if initial_relative_std is None else initial_relative_std[0]
         self._is_stated = stated_std > 0.0
-        has_fan = 'quadratic_friction' in white_box.context_nodes
-        is_share = [has_fan and 'friction' in name for name in white_box.context_nodes]
-        self._sharp_std = np.where(is_share, SHARP_FRICTION, SHARP)
+        is_share = [TERMS[name].state is State.SPEED for name in white_box.context_nodes]
+        self._sharp_std = np.where(is_share, SHARP_SHARE, SHARP)
         std = np.where(self._is_stated, stated_std, VAGUE)
         self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
         self.memory: LogPrior | None = None
@@ -125,8 +125,6 @@ class WindowLearner:
         self.noise_a = 0.0
         self.voltage_noise = NO_NOISE
         self._soft_shift = np.zeros(self.logarithms.size)  # of what is remembered
-        states = [TERMS[name].state for name in white_box.context_nodes]
-        self._is_electrical = np.array([state is State.CURRENT for state in states])
         self.is_settled = False
         self.has_rivals = True
         self.is_new_motor = False
@@ -171,8 +169,7 @@ class WindowLearner:
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
         covariance = _inverse(information + np.diag(prior))
         shift = covariance @ self._soft_pull(fit)
-        electrical = np.where(self._is_electrical, shift, 0.0)
-        spread = fit.spread + np.outer(electrical, electrical)
+        spread = fit.spread + np.outer(shift, shift)
         self.covariance = self._within_reach(covariance) + spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
