@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,11 @@ def entry(value: float | None, std: float | None, unit: str) -> dict[str, object
 
 
 def text_of(
-    fit: FitVerdict = FitVerdict.OK, *, stamps_exact: bool = False, **changed: object
+    fit: FitVerdict = FitVerdict.OK,
+    *,
+    stamps_exact: bool = False,
+    warnings: Sequence[str] = (),
+    **changed: object,
 ) -> list[str]:
     """Return the lines that are written of one motor."""
     motor = {
@@ -40,7 +44,7 @@ def text_of(
     }
     stream = io.StringIO()
     fits = {'m': FitAssessment(fit, 1.0, 1.0, (), 100)}
-    write_text({'motors': {'m': motor}}, fits, stream, (), ['m'] if stamps_exact else ())
+    write_text({'motors': {'m': motor}}, fits, stream, warnings, ['m'] if stamps_exact else ())
     return stream.getvalue().splitlines()
 
 
@@ -123,6 +127,28 @@ def test_what_can_be_done_about_each_verdict_is_said() -> None:
     assert rest.startswith('resistance, hysteresis: the recording tells nothing of it')
     assert steps_of('converging')[1].startswith('resistance, hysteresis: not known to 2 % yet')
     assert steps_of('implausible')[0].startswith('inductance, resistance, hysteresis: check')
+
+
+@pytest.mark.parametrize(('source', 'step'), [('rotor', True), ('torque_constant', False)])
+def test_beside_a_rotor_an_l_over_r_of_a_sample_asks_for_exact_stamps(
+    source: str, step: bool
+) -> None:
+    """A current that is smoothed, or late by half an interval, looks like as much inductance."""
+    values = {'inductance': (18e-3, 'H'), 'resistance': (2.0, 'ohm')}
+    parameters = {
+        name: {**entry(value, 0.1, unit), 'verdict': 'unexcited'}
+        for name, (value, unit) in values.items()
+    }
+    lines = text_of(parameters=parameters, derived={}, speed_source=source)
+    assert ('m.stamps_exact: true' in '\n'.join(lines)) is step
+
+
+def test_the_parameter_that_is_named_is_that_of_what_was_found() -> None:
+    inductance = {**entry(1e-3, 0.1, 'H'), 'verdict': 'unexcited'}
+    resistance = entry(2.0, 0.1, 'ohm')
+    parameters = {'inductance': inductance, 'resistance': resistance}
+    lines = text_of(parameters=parameters, derived={}, warnings=['set m.initial.resistance'])
+    assert lines[-1] == PLACE
 
 
 def test_what_the_newest_samples_do_not_bear_out_is_not_called_imprecise() -> None:

@@ -240,7 +240,9 @@ class FormTrial:
         total = content.shape[2]
         before_a = start.before_a
         form = self._open.make(kind)
-        is_held = kind.source == ROTOR and begins_held(form.white_box, form.driven(content)[:, 0])
+        is_held = kind.source == ROTOR and begins_held(
+            form.white_box, Window.from_samples(form.white_box, form.driven(content)[:, 0])
+        )
         for count in [*(look for look in LOOKS if look < total), total]:
             part = content[:, :, :count] if is_held else content[:, :, -count:]
             fit = yield from self._fitter.first(kind, part, form)

@@ -77,14 +77,13 @@ def breakaway_starts(
         yield np.clip(np.array([values[name] for name in nodes]), 1.01 * lower, 0.99 * upper)
 
 
-def begins_held(white_box: MotorWhiteBox, samples: Array) -> bool:
+def begins_held(white_box: MotorWhiteBox, window: Window) -> bool:
     """Tell whether friction holds the rotor first, and the voltage tells the resistance by that.
 
     Args:
         white_box: of one motor with a rotor.
-        samples: shape (signal, n), as a replay buffer gives them of one motor.
+        window: the samples.
     """
-    window = Window.from_samples(white_box, samples)
     return _first_hold(white_box, replace(window, histories=window.histories[:1])) is not None
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.rotor.breakaway_start import begins_held
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
 from gray_box_observer.context_nodes.rotor.history_unknowns import Unknowns
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
@@ -277,8 +278,14 @@ class WindowLearner:
         return (yield from self._fitted_whole(window, fit))
 
     def _fitted_whole(self, window: Window, newest: Fit) -> Pieces[Fit | None]:
-        """Fit a window whose newest samples are explained by a fit."""
-        return (yield from self._fitted(window, self._data_sheet, [newest.theta]))
+        """Fit a window whose newest samples are explained by a fit.
+
+        Where friction holds the rotor first these tell little of what the oldest show.
+        """
+        starts = [newest.theta]
+        if begins_held(self._white_box, window):
+            starts += weak_starts(self._white_box, newest.runs.window)
+        return (yield from self._fitted(window, self._data_sheet, starts))
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
