@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,13 +29,13 @@ INERTIA = THETA[2]
 ROTOR = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
 
 
-def _path_under(torque_nm: Floats, theta: Floats = THETA) -> Run:
+def _path_under(torque_nm: Floats, theta: Floats = THETA, white_box: MotorWhiteBox = ROTOR) -> Run:
     voltage_v = steps(SAMPLES, 2)[:-1]
     interval_s = np.full(voltage_v.size, INTERVAL_S)
     limits = np.array([1e3, 1e6])
     load_rad_s2 = -torque_nm / INERTIA
     return run(
-        KT, coordinates(ROTOR, theta), np.zeros(2), voltage_v, interval_s, limits, load_rad_s2
+        KT, coordinates(white_box, theta), np.zeros(2), voltage_v, interval_s, limits, load_rad_s2
     )
 
 
@@ -92,6 +93,16 @@ def test_friction_that_grows_with_the_square_of_the_speed_opens_the_frictions() 
     assert fan['viscous_friction'] > 10.0 * plain['viscous_friction']
     assert fan['coulomb_friction'] > 3.0 * plain['coulomb_friction']
     assert fan['inductance'] < 0.01
+
+
+def test_a_resistance_that_grows_with_the_speed_opens_itself() -> None:
+    still = np.zeros(SAMPLES - 1)
+    full_rad_s = float(np.abs(_path_under(still).states[:, 1]).max())
+    iron = replace(ROTOR, known={**ROTOR.known, 'hysteresis': 0.02 * THETA[1] / full_rad_s})
+    plain = _open_stds(_path_under(still).states[:, 0])
+    grown = _open_stds(_path_under(still, white_box=iron).states[:, 0])
+    assert grown['resistance'] > 3.0 * plain['resistance']
+    assert 0.005 < grown['resistance'] < 0.04
 
 
 def test_friction_that_takes_more_to_break_opens_the_frictions() -> None:

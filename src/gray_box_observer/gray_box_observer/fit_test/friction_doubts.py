@@ -1,10 +1,11 @@
-"""What friction that is not quite that of the white box would do to an estimate.
+"""What friction or iron that is not quite that of the white box would do to an estimate.
 
 The white box has a shaft that stands still until its friction breaks, and a friction of
 ``T_c + B |w|`` from then on. Real friction lets the shaft give before it breaks. It takes more to
 break than to move (B. Armstrong-Helouvry et al., Automatica 30 (7), 1994). Fans and pumps add what
-grows with the square of the speed. The residual shows little of that, for the parameters take over
-most of it. How much there is, the data tell together with what is likely beforehand.
+grows with the square of the speed. In iron the resistance grows with the speed. The residual shows
+little of that, for the parameters take over most of it. How much there is, the data tell together
+with what is likely beforehand.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
-from gray_box_observer.fit_test.effects import interval_means
+from gray_box_observer.fit_test.effects import HYSTERESIS, interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Doubt
 from gray_box_observer.fit_test.rotor_free_run import HELD, RotorFreeRun
@@ -46,7 +47,10 @@ SLOW = 0.02
 
 SURE = 2.0
 """Standard deviations from which a friction that grows with the square of the speed is believed to
-be there. Most motors have none."""
+be there, and hysteresis. Most motors have none."""
+
+IRON = 0.1
+"""Standard deviation of what hysteresis adds to R at the largest speed, as a share of it."""
 
 
 def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[Doubt]:
@@ -62,6 +66,8 @@ def friction_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[Dou
     doubts = _presliding(run, _is_held(white_box, run), values.get('back_emf_constant', 0.0))
     if isinstance(run, RotorFreeRun):
         doubts += _other_friction(run, values)
+        if HYSTERESIS not in white_box.context_nodes:
+            doubts += _iron(run, values)
     return doubts
 
 
@@ -94,6 +100,17 @@ def _other_friction(run: RotorFreeRun, values: dict[str, float]) -> list[Doubt]:
     torques_nm = -np.stack([breakaway_nm, quadratic_nm])
     breakaway_a, quadratic_a = run.torque_response(torques_nm, values['inertia'])
     return [Doubt(breakaway_a), Doubt(quadratic_a, SURE)]
+
+
+def _iron(run: RotorFreeRun, values: dict[str, float]) -> list[Doubt]:
+    """A resistance that grows with the speed."""
+    speed_rad_s = np.abs(interval_means(run.speed_rad_s))
+    largest_rad_s = float(speed_rad_s.max(initial=0.0))
+    if not largest_rad_s > 0.0:
+        return []
+    ohms = IRON * values['resistance'] * speed_rad_s / largest_rad_s
+    lost_v = ohms * interval_means(run.current_a)
+    return [Doubt(run.response(-lost_v[None])[0], SURE)]
 
 
 def _is_held(white_box: WhiteBox, run: FreeRun) -> Array:
