@@ -96,7 +96,7 @@ def test_the_learner_counts_it_in_its_deviations_and_remembers_it() -> None:
     assert completed(learner.learn(window, is_full=True))
     shift = learner.arrays()['soft_shift']
     assert shift.any()
-    assert (np.diag(learner.covariance) > shift**2).all()
+    assert (np.diag(learner.covariance) > shift**2)[:3].all(), 'of L, R and J'
 
 
 RAMP_KT = 0.03

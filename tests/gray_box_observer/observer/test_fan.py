@@ -118,8 +118,7 @@ def test_a_fan_behind_a_gear_is_told_from_no_near_start() -> None:
 
 
 STAGES: dict[str, Callable[[dict[str, Any]], bool]] = {
-    'it looks like another motor': lambda state: state['change_count'] > 1000,
-    'a trial is under way': lambda state: state['change_count'] > 0 and 'trial' in state,
+    'a trial is under way': lambda state: 'trial' in state,
     'a fan was found': lambda state: state['effects'] == ['quadratic_friction'],
 }
 
@@ -144,7 +143,7 @@ def test_what_is_saved_at_any_stage_goes_on_bit_for_bit(stage: str, tmp_path: Pa
     checkpoint.save(one, tmp_path / 'one.safetensors')
     checkpoint.load(other, tmp_path / 'one.safetensors')
     for observer in (one, other):
-        feed(observer, [part(recorded(FAN, LIVELY, 8.0, 5), 6000)], 13_000_000_000)
+        feed(observer, [part(recorded(FAN, LIVELY, 8.0, 5), 3000)], 13_000_000_000)
     before, after = one.motors['motor'], other.motors['motor']
     assert after.added_effects == before.added_effects == ('quadratic_friction',)
     assert before.estimate.value.tobytes() == after.estimate.value.tobytes()

@@ -20,6 +20,7 @@ from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import HYSTERESIS, LATE
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import (
+    QUADRATIC_FRICTION,
     ROTOR,
     WORK_A_SAMPLE,
     FormKind,
@@ -194,14 +195,21 @@ class FormFitter:
         return fit
 
     def _with_hysteresis(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a plain rotor with hysteresis where what it leaves looks like that, first of all."""
+        """Fit a plain rotor with hysteresis where what it leaves looks like that, first of all.
+
+        What a fan leaves looks so, too: it is tried where hysteresis does not explain the samples.
+        """
         suspects = fit.form.fit.assessment(0).suspects
         is_suspected = fit.is_misfit and bool(suspects) and suspects[0].effect == HYSTERESIS
-        kind = FormKind(ROTOR, (HYSTERESIS,))
-        if fit.kind != FormKind(ROTOR) or not (is_suspected and self._open.contains(kind)):
+        if fit.kind != FormKind(ROTOR) or not is_suspected:
             return fit
-        other = yield from self.first(kind, content)
-        return fit if other.is_misfit else other
+        for effect in (HYSTERESIS, QUADRATIC_FRICTION):
+            kind = FormKind(ROTOR, (effect,))
+            if self._open.contains(kind):
+                other = yield from self.first(kind, content)
+                if not other.is_misfit:
+                    return other
+        return fit
 
     def _is_late(self, fit: FormFit) -> bool:
         """Tell whether what a form leaves looks like a lag of the current, first of all."""

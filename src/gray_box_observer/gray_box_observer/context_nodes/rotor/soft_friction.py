@@ -5,8 +5,9 @@ A motor that turns by no more than a few rad/s notices that: in simulations with
 came out up to 3 % too small, and sure. To first order the error follows from the run. What the
 friction lacks is a small load, and the parameters move by what they explain of its answer. Near
 rest it takes no more than the speed that there is. The first order counts as a standard deviation:
-in simulations the error was 0.2 to 2.3 times as large. Under a slow ramp an inertia came out half
-as large, and a dry friction 8 % too large.
+in simulations the error was 0.2 to 2.3 times as large. Frictions are those of the softened law, but
+where the inertia is pulled as well: under a slow ramp it came out half as large, and dry friction
+8 % too large.
 """
 
 from __future__ import annotations

@@ -61,6 +61,11 @@ POOR = 1.5
 HOPELESS = 4.5
 """The same from which the motor is called a misfit, and more samples are not asked."""
 
+FRICTIONS = ('viscous_friction', 'coulomb_friction', 'quadratic_friction')
+
+PULLED = 0.02
+"""Shift of the inertia's logarithm by softened friction, from which frictions are shifted too."""
+
 REACH_OF_INDUCTANCE = 2.0
 """Move of the inductance's logarithm, at most, with which the others move along."""
 
@@ -170,7 +175,8 @@ class WindowLearner:
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
         covariance = _inverse(information + np.diag(prior))
         shift = covariance @ self._soft_pull(fit)
-        spread = fit.spread + np.outer(shift, shift)
+        pull = self._counted(shift)
+        spread = fit.spread + np.outer(pull, pull)
         self.covariance = self._within_reach(covariance) + spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
         excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
@@ -186,6 +192,18 @@ class WindowLearner:
             self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
             self._soft_shift = shift
         return True
+
+    def _counted(self, shift: Array) -> Array:
+        """Return what counts of a shift by softened friction, shape (parameter,).
+
+        Frictions are those of the softened law, but where it pulls the inertia: there it shares
+        with them what it takes.
+        """
+        is_friction = [name in FRICTIONS for name in self._white_box.context_nodes]
+        place = self._white_box.context_nodes.index('inertia')
+        if abs(shift[place]) > PULLED:
+            return shift
+        return np.where(is_friction, 0.0, shift)
 
     def _soft_pull(self, fit: Fit) -> Array:
         """Return how softened friction pulls the logarithms, by a fit and by what was known."""
