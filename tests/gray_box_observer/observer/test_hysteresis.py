@@ -46,8 +46,7 @@ def assert_right(motor: MotorView, name: str, true: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', [3, 5])
-@pytest.mark.parametrize('share', [0.08, 0.3])
+@pytest.mark.parametrize(('share', 'seed'), [(0.08, 3), (0.3, 5)])
 def test_hysteresis_is_found_and_the_resistance_is_right(share: float, seed: int) -> None:
     motor = observed(recorded_with(share, 9.0, seed)).motors['motor']
     assert motor.white_box.speed_source == ROTOR
