@@ -129,6 +129,16 @@ def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0)
     return begin_ns
 
 
+def part(record: Recording, samples: int) -> Recording:
+    """Return the first samples of a record."""
+    kept = slice(samples)
+    return replace(
+        record, stamp_ns=record.stamp_ns[kept], voltage_v=record.voltage_v[:, kept],
+        torque_nm=record.torque_nm[:, kept], true_torque_nm=record.true_torque_nm[:, kept],
+        speed_rad_s=record.speed_rad_s[:, kept],
+    )  # fmt: skip
+
+
 def resistance_claims(
     observer: Observer,
     recording: Recording,

@@ -68,7 +68,7 @@ def test_a_rotor_that_is_held_first_tells_resistance_and_dry_friction(count: int
 def test_nothing_else_is_taken_for_a_hold(samples: np.ndarray) -> None:
     window = Window.from_samples(BOX, samples)
     assert not [*breakaway_starts(BOX, window, [TRUTH])]
-    assert not begins_held(BOX, Window.from_samples(BOX, samples))
+    assert not begins_held(BOX, window)
 
 
 def test_a_white_box_without_dry_friction_has_no_such_start() -> None:
@@ -80,9 +80,9 @@ def test_a_white_box_without_dry_friction_has_no_such_start() -> None:
 @pytest.mark.parametrize('count', [250, 500])
 def test_a_fit_ends_at_the_motor_before_a_slow_voltage_has_turned(count: int) -> None:
     """From the weak form alone it ended at 1.15 ohm, surely, with a rotor that turned backwards."""
-    samples = samples_under(SLOW_SINE)[:, :count]
-    assert begins_held(BOX, Window.from_samples(BOX, samples))
-    fit = fitted(Window.from_samples(BOX, samples))
+    window = Window.from_samples(BOX, samples_under(SLOW_SINE)[:, :count])
+    assert begins_held(BOX, window)
+    fit = fitted(window)
     assert fit.theta[1] == pytest.approx(MOTOR.resistance, rel=0.02)
     assert fit.theta[2] == pytest.approx(MOTOR.inertia, rel=0.05)
 

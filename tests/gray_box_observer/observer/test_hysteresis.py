@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rotor_records import GEAR_MOTOR, LIVELY, driven, feed, observed, recorded, told
+from rotor_records import GEAR_MOTOR, LIVELY, driven, feed, observed, part, recorded, told
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
@@ -24,19 +24,18 @@ THESIS_MOTOR = PlantParameters(
 FULL_SPEED = 12.0 / GEAR_MOTOR.back_emf_constant
 
 
+def hysteresis_of(share: float) -> float:
+    return share * GEAR_MOTOR.resistance / FULL_SPEED
+
+
 @cache
 def recorded_with(share: float, duration_s: float, seed: int = 3) -> Recording:
     """Record a motor whose resistance grows by a share of it up to its full speed."""
-    hysteresis = share * GEAR_MOTOR.resistance / FULL_SPEED
-    plant = replace(GEAR_MOTOR, hysteresis=hysteresis)
+    plant = replace(GEAR_MOTOR, hysteresis=hysteresis_of(share))
     rng = np.random.default_rng(seed)
     levels_v = [np.full(n, rng.uniform(-12.0, 12.0)) for n in rng.integers(50, 500, 60)]
     voltage_v = np.concatenate(levels_v)[: round(1e3 * duration_s)]
     return driven(plant, voltage_v, seed)
-
-
-def hysteresis_of(share: float) -> float:
-    return share * GEAR_MOTOR.resistance / FULL_SPEED
 
 
 def assert_right(motor: MotorView, name: str, true: float) -> None:
@@ -103,7 +102,7 @@ def test_a_measured_speed_tells_the_hysteresis_that_a_list_lacks() -> None:
 def test_hysteresis_is_added_where_it_is_not_identified_already() -> None:
     def may_take(source: str, nodes: list[str] | None = None) -> bool:
         values = {} if nodes is None else {'motor.context_nodes': nodes}
-        motor = observed(part_of(recorded_with(0.3, 3.0)), **values).motors['motor']
+        motor = observed(part(recorded_with(0.3, 3.0), 100), **values).motors['motor']
         return motor.observer.form_choice.may_take(FormKind(source, ('hysteresis',)))
 
     assert may_take(ROTOR)
@@ -111,12 +110,3 @@ def test_hysteresis_is_added_where_it_is_not_identified_already() -> None:
     assert not may_take(MEASURED)
     assert may_take(THESIS, ['inductance', 'resistance'])
     assert not may_take(ROTOR, ['inductance', 'resistance', 'hysteresis', 'brush_drop'])
-
-
-def part_of(record: Recording) -> Recording:
-    """Return the first samples of a record."""
-    samples = {
-        name: getattr(record, name)[..., :100]
-        for name in ('stamp_ns', 'voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s')
-    }
-    return replace(record, **samples)

@@ -176,7 +176,6 @@ class Search:
         slowest = 1e-9 * (1.0 + fastest)
         start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
         self._start_std = np.tile(start_std, (len(window.histories), 1))
-        self._start_precision = start_precision(window, self._start_std)
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
         self.rests = rests
@@ -187,7 +186,7 @@ class Search:
             still_v = STILL * window.largest_voltage_v + ohms * noise_a
             kb = float(white_box.known['back_emf_constant'])
             self._start_std[rests] = noise_a, still_v / kb + slowest
-            self._start_precision = start_precision(window, self._start_std)
+        self._start_precision = start_precision(window, self._start_std)
         self._runs: FreeRuns | None = None
         self.scale_a = np.inf
 
