@@ -137,6 +137,10 @@ def python_forms(fingerprint: int, whole_motor: int) -> str:
     for name, term in TERMS.items():
         lines += _form(f"'{name}'", term.formula) if term.formula else []
     lines += ['}', '"""Effects by the names of their coefficients."""', '']
+    lines += ['WHOLE_MOTOR_EFFECTS: dict[str, Form] = EFFECTS | {']
+    for name, term in TERMS.items():
+        lines += _form(f"'{name}'", term.sharp_formula) if term.sharp_formula else []
+    lines += ['}', '"""The same of a motor with a rotor."""', '']
     lines += ['DRIVES: dict[State, Form | None] = {']
     for state, formula in DRIVES.items():
         key = f'State.{state.name}'
@@ -414,7 +418,9 @@ class _WholeMotor:
     @staticmethod
     def _balance(state: State) -> Balance:
         terms = [(place, term) for place, term in enumerate(TERMS.values()) if term.state is state]
-        effects = [(place, parsed(term.formula)) for place, term in terms if term.formula]
+        effects = [
+            (place, parsed(term.whole_motor_formula)) for place, term in terms if term.formula
+        ]
         (storage,) = (place for place, term in terms if not term.formula)
         return Balance(
             storage=storage,

@@ -12,7 +12,7 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes.native import whole_motor
-from gray_box_observer.context_nodes.rotor import held_rotor, rotor_trajectory
+from gray_box_observer.context_nodes.rotor import held_state, rotor_trajectory
 from gray_box_observer.context_nodes.rotor.coordinates import WholeMotor, coordinates, slopes
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
     OneInterval,
@@ -141,12 +141,12 @@ HELD_THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 0.2])
 
 
 def test_compiled_code_and_python_hold_a_rotor_by_the_same_rules() -> None:
-    header = Path(held_rotor.__file__).parents[1] / 'native' / 'held_rotor.h'
+    header = Path(held_state.__file__).parents[1] / 'native' / 'held_state.h'
     text = header.read_text()
     constants = dict(re.findall(r'#define (\w+) ([\d.e-]+)', text))
     constants |= dict(re.findall(r'enum \{ (\w+) = (\d+) \}', text))
     assert constants
-    assert {name: getattr(held_rotor, name) for name in constants} == {
+    assert {name: getattr(held_state, name) for name in constants} == {
         name: float(number) for name, number in constants.items()
     }
 
@@ -185,7 +185,7 @@ def test_a_rotor_that_friction_holds_is_followed_in_one_step(
     assert finely.steps >= 200 * volts.size
     exact = finely.states[::200]
     current_error, speed_error = np.abs(held.states - exact).max(axis=0)
-    assert current_error < held_rotor.FOLLOWING * np.abs(exact[:, 0]).max()
+    assert current_error < held_state.FOLLOWING * np.abs(exact[:, 0]).max()
     assert speed_error < 1e-3
 
 
@@ -208,6 +208,46 @@ def test_a_motor_without_voltage_comes_to_rest_in_few_steps(
     finely = follow(4000, 4e-5, is_compiled=True).states[::100]  # of Python it takes 47 s
     assert np.abs(at_once.states - finely)[:, 0].max() < 1e-8
     assert np.abs(at_once.states - finely)[:, 1].max() < 1e-5
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+@pytest.mark.parametrize('friction_nm', [0.0, 2e-3])
+def test_a_current_that_brushes_hold_is_followed_in_few_steps(
+    friction_nm: float, compiled: bool
+) -> None:
+    """The rotor runs out while less voltage is left for the winding than the brushes drop."""
+    box = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB, 'brush_drop': 0.6})
+    p = coordinates(box, np.array([3e-4, 0.15, 1e-4, 1e-5, friction_nm]))
+
+    def follow(parts: int) -> Run:
+        count = 10 * parts
+        lengths = np.full(count, 1e-2 / parts)
+        start = np.array([0.0, 20.0])
+        return run(KT, p, start, np.full(count, 0.3), lengths, LIMITS, is_compiled=compiled)
+
+    at_once = follow(1)
+    finely = follow(200)
+    assert at_once.is_bounded and finely.is_bounded
+    assert at_once.steps < 40 * (rotor_trajectory.HELD_COST + rotor_trajectory.STRAIGHT_COST)
+    exact = finely.states[::200]
+    assert np.abs(at_once.states - exact)[:, 0].max() < 1e-5
+    np.testing.assert_allclose(at_once.states[:, 1], exact[:, 1], rtol=1e-3)
+    np.testing.assert_allclose(
+        at_once.slopes[-1, 1], finely.slopes[-1, 1], rtol=0.02, atol=1e-6 * KT
+    )
+
+
+@pytest.mark.parametrize('current_a', [1.0, 20.0, 100.0])
+def test_no_run_of_a_motor_with_brushes_is_given_up(current_a: float) -> None:
+    """Runs of strong motors took so many steps at 100 Hz that they were."""
+    box = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB, 'brush_drop': 0.5})
+    ohms = 12.0 / current_a
+    inertia = 0.05 * KT * KB / ohms
+    p = coordinates(box, np.array([2e-3 * ohms, ohms, inertia, 1e-6 / ohms, 0.05 * KT * current_a]))
+    volts = steps(3000, seed=1, hold=20)
+    end = run(KT, p, np.zeros(2), volts, np.full(volts.size, 1e-2), LIMITS)
+    assert end.is_bounded
+    assert end.steps < 30 * volts.size
 
 
 @pytest.mark.parametrize('compiled', [True, False])

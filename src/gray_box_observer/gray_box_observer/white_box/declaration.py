@@ -64,6 +64,8 @@ class Term:
         known_part: what is known of the coefficient though it is among the context nodes; the
             unknown rest is positive. Negative for a coefficient that may have either sign. Of a
             torque it is that of so many amperes.
+        sharp_formula: what stands for the formula in a motor with a rotor, whose steps resolve it;
+            empty: the same.
     """
 
     parameter: Parameter
@@ -74,6 +76,12 @@ class Term:
     known_value: float = 0.0
     known_upper: float | None = None
     known_part: float = 0.0
+    sharp_formula: str = ''
+
+    @property
+    def whole_motor_formula(self) -> str:
+        """The formula in a motor with a rotor."""
+        return self.sharp_formula or self.formula
 
     @property
     def has_either_sign(self) -> bool:
@@ -144,6 +152,9 @@ _DECLARED = (
         'current * (0.01 + abs(current)) / (0.0001 + 0.01 * abs(current) + current * current)',
         known_as='brush_drop',
         known_upper=1e3,
+        # a twentieth of that, for small motors draw tenths of an ampere
+        sharp_formula='current * (0.0005 + abs(current)) / '
+        '(2.5e-7 + 0.0005 * abs(current) + current * current)',
     ),
     Term(
         Parameter(

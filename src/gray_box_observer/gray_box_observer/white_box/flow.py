@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
+from itertools import chain
 from operator import add
 from typing import Any
 
@@ -30,6 +31,9 @@ LARGEST_STEP = 0.35
 MAX_STEPS = 16
 """Where more Runge-Kutta steps were needed, exponential ones are taken: they settle where
 Runge-Kutta would burst."""
+
+FIRST_STEPS = 10
+"""Exponential steps that are taken for the first one."""
 
 STIFF = MAX_STEPS + 1
 """Number of steps that stands for MAX_STEPS exponential ones."""
@@ -109,6 +113,15 @@ class Interval:
             end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
             yield Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
 
+    def growing_parts(self, count: int) -> Iterator[Interval]:
+        """Cut into parts in order, each twice as long as the one before."""
+        change = self.end_speed_rad_s - self.speed_rad_s
+        total = 2.0**count - 1.0
+        for j in range(count):
+            begin, end = ((2.0**place - 1.0) / total for place in (j, j + 1))
+            speeds = self.speed_rad_s + begin * change, self.speed_rad_s + end * change
+            yield Interval(self.voltage_v, *speeds, self.length_s * (2.0**j / total))
+
 
 @dataclass(frozen=True, slots=True)
 class Linear:
@@ -167,7 +180,8 @@ def flow(
     """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
 
     As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which
-    are stable however stiff.
+    are stable however stiff. The first of these is taken in FIRST_STEPS, each twice as long as the
+    one before.
 
     Args:
         white_box: the physics.
@@ -231,9 +245,15 @@ def _stiffness(ops: Any, here: Linear, interval_s: Array) -> Any:
 def _in_steps(
     ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval, count: int
 ) -> Linear:  # fmt: skip
-    """Move intervals on in equal steps; ``here`` is the rate at the start."""
-    step: Any = runge_kutta_step if count <= MAX_STEPS else partial(_exponential_step, ops)
+    """Move intervals on in steps; ``here`` is the rate at the start.
+
+    Exponential ones begin short: where a softened sign makes the start stiff, they soon leave it.
+    """
+    step: Any = runge_kutta_step
     parts = interval.parts(max(1, min(count, MAX_STEPS)))
+    if count > MAX_STEPS:
+        step = partial(_exponential_step, ops)
+        parts = chain(next(parts).growing_parts(FIRST_STEPS), parts)
     whole: Linear = step(rate_at, start, here, next(parts))
     for part in parts:
         whole = joined(

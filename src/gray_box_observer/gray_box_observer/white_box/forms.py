@@ -14,7 +14,7 @@ from gray_box_observer.white_box.declaration import State
 FINGERPRINT = 169234350664107255
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 567467816607638970
+WHOLE_MOTOR_FINGERPRINT = 851269904755032026
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -80,6 +80,16 @@ EFFECTS: dict[str, Form] = {
     ),
 }
 """Effects by the names of their coefficients."""
+
+WHOLE_MOTOR_EFFECTS: dict[str, Form] = EFFECTS | {
+    'brush_drop': Form(
+        lambda current, speed, torque_constant, voltage: current*(0.0005 + abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07),
+        (lambda current, speed, torque_constant, voltage: -(-current**2*0.0005 + current*0.0005**2*sign(current) + current*0.0005*abs(current)*sign(current) - 0.0005**2*abs(current) - 0.0005*2.5e-07 - 2*2.5e-07*abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07)**2,
+         lambda current, speed, torque_constant, voltage: 0.0),
+        lambda current, speed, torque_constant, voltage: -(-current**2*0.0005 + current*0.0005**2*sign(current) + current*0.0005*abs(current)*sign(current) - 0.0005**2*abs(current) - 0.0005*2.5e-07 - 2*2.5e-07*abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07)**2,
+    ),
+}
+"""The same of a motor with a rotor."""
 
 DRIVES: dict[State, Form | None] = {
     State.CURRENT: None,

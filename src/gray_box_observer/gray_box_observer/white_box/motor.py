@@ -202,8 +202,9 @@ class MotorWhiteBox:
         )
         names = [name for name in self.given if _acts_on(state, name)]
         constants = [_spread(self.known[name], signal) for name in names]
-        unknown_forms = [forms.EFFECTS[self.context_nodes[place]] for place in places]
-        known_forms = [forms.EFFECTS[name] for name in names]
+        effects = forms.WHOLE_MOTOR_EFFECTS if self.has_rotor else forms.EFFECTS
+        unknown_forms = [effects[self.context_nodes[place]] for place in places]
+        known_forms = [effects[name] for name in names]
         follows = not self.speed_measured and len(self.states) < len(SIGNALS)
 
         def slope(form: Form, by: State) -> Callable[..., Any]:

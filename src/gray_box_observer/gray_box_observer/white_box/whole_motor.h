@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 567467816607638970
+#define WHOLE_MOTOR_FINGERPRINT 851269904755032026
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
@@ -23,18 +23,18 @@ INLINE Linear rate_of(
 {
     Linear linear;
     const Real t1 = state[CURRENT] * absolute(state[SPEED]);
-    const Real t2 = state[CURRENT] * (0.01 + absolute(state[CURRENT])) / (0.01 *
-        absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT]);
+    const Real t2 = state[CURRENT] * (0.0005 + absolute(state[CURRENT])) / (2.5e-07 + 0.0005 *
+        absolute(state[CURRENT]) + state[CURRENT] * state[CURRENT]);
     const Real t3 = voltage * (0.01 + absolute(voltage)) / (voltage * voltage + 0.01 *
         absolute(voltage) + 0.0001);
     linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
         - p[4] * t2 - p[5] - p[6] * t3;
-    const Real t4 = 0.01 * absolute(state[CURRENT]) + 0.0001 + state[CURRENT] * state[CURRENT];
-    linear.by_state[CURRENT][CURRENT] = -(p[1]) - p[2] * absolute(state[SPEED]) - p[4] * (-(0.01 *
-        0.01 * state[CURRENT] * sign(state[CURRENT]) - 0.01 * 0.01 * absolute(state[CURRENT]) - 0.01
-        * 0.0001 - 0.01 * (state[CURRENT] * state[CURRENT]) + 0.01 * state[CURRENT] *
-        absolute(state[CURRENT]) * sign(state[CURRENT]) - 2.0 * 0.0001 * absolute(state[CURRENT])) /
-        (t4 * t4));
+    const Real t4 = 2.5e-07 + 0.0005 * absolute(state[CURRENT]) + state[CURRENT] * state[CURRENT];
+    linear.by_state[CURRENT][CURRENT] = -(p[1]) - p[2] * absolute(state[SPEED]) - p[4] *
+        (-(-(2.5e-07) * 0.0005 - 2.0 * 2.5e-07 * absolute(state[CURRENT]) + 0.0005 * 0.0005 *
+        state[CURRENT] * sign(state[CURRENT]) - 0.0005 * 0.0005 * absolute(state[CURRENT]) - 0.0005
+        * (state[CURRENT] * state[CURRENT]) + 0.0005 * state[CURRENT] * absolute(state[CURRENT]) *
+        sign(state[CURRENT])) / (t4 * t4));
     linear.by_state[CURRENT][SPEED] = -(p[2] * (state[CURRENT] * sign(state[SPEED]))) - p[3];
     linear.by_coordinate[CURRENT][0] = voltage;
     linear.by_coordinate[CURRENT][1] = -(state[CURRENT]);

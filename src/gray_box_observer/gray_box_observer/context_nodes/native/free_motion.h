@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#include "context_nodes/native/held_rotor.h"
+#include "context_nodes/native/held_state.h"
 #include "context_nodes/native/straight_motion.h"
 #include "white_box/whole_motor.h"
 
@@ -63,26 +63,34 @@ typedef struct {
 enum { FEW_STEPS = 4, STRAIGHT_COST = 2, HELD_COST = 4, FEWEST_INTERVALS = 8, MANY_STEPS = 16 };
 #define SAME_LENGTH 1e-6
 
-/* Move on by a length, the ladder's where there is one: at once where friction holds the rotor or
- * the rate is straight on the way, in steps where these are few, else by halves. Steps are shorter
+/* Move on by a length, the ladder's where there is one: at once where friction holds the rotor,
+ * brushes the current, or the rate is straight on the way, in steps where these are few, else by halves. Steps are shorter
  * where a state passes zero. */
 static Linear moved_on(const double *p, double torque_constant, const double *start, double voltage,
                        double length, const Stepping *by, int level, int64_t *taken)
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
     Linear moved;
-    if (may_be_held(&here, length)) {
+    if (may_be_held(&here, SPEED, length)) {
+        const double holding = p[BRUSH_DROP] != 0.0 ? 0.0 : p[COULOMB_FRICTION];
         *taken += HELD_COST;
-        if (held_moved(p, torque_constant, start, voltage, length, &moved)) return moved;
+        if (held_moved(p, torque_constant, start, SPEED, holding, voltage, length, &moved))
+            return moved;
     }
     if (by->ladder && straight_moved(by->ladder, level, p, torque_constant, start, &here, voltage,
                                      length, &moved)) {
         *taken += STRAIGHT_COST;
         return moved;
     }
+    if (p[BRUSH_DROP] != 0.0 && may_be_held(&here, CURRENT, length)) {
+        const double holding = p[COULOMB_FRICTION] != 0.0 ? 0.0 : p[BRUSH_DROP];
+        *taken += HELD_COST;
+        if (held_moved(p, torque_constant, start, CURRENT, holding, voltage, length, &moved))
+            return moved;
+    }
     double away = fastest(&here);
     const double few = FEW_STEPS * by->largest_step;
-    const int may_halve = by->ladder && level < HALVINGS;
+    const int may_halve = level < HALVINGS;
     if (!may_halve || away * length <= few) {
         moved = in_steps(p, torque_constant, start, &here, voltage, length, away, by->largest_step,
                          by->most_steps, taken);

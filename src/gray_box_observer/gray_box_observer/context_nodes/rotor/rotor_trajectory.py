@@ -1,10 +1,10 @@
 """The free run of one motor with a rotor, sample after sample, with its derivatives.
 
-An interval is one step where friction holds the rotor (:mod:`held_rotor`), and where the rate is
-straight in the states (:mod:`straight_motion`). Else it is halved until a part is either, or until
-few Runge-Kutta steps are enough for it: near where a softened sign changes, and everywhere for a
-moving motor with hysteresis. Compiled code (`native/whole_motor.c`) and Python give the same to
-rounding; both are made of :mod:`gray_box_observer.white_box.flow`.
+An interval is one step where friction holds the rotor, or brushes the current (:mod:`held_state`),
+and where the rate is straight in the states (:mod:`straight_motion`). Else it is halved until a
+part is either, or until few Runge-Kutta steps are enough for it: near where a softened sign
+changes, and everywhere for a moving motor with hysteresis. Compiled code (`native/whole_motor.c`)
+and Python give the same to rounding; both are made of :mod:`gray_box_observer.white_box.flow`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
-from gray_box_observer.context_nodes.rotor.held_rotor import held_motion, may_be_held
+from gray_box_observer.context_nodes.rotor.held_state import held_motion, may_be_held
 from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.flow import (
@@ -319,7 +319,11 @@ class _Motion:
         self._p = p
         self._far = far
         self._coefficients = dict(enumerate(p.tolist()))
-        self._holding_rad_s2 = 0.0 if p[BRUSHES] else float(p[DRY_FRICTION])
+        # where both act, they bend each other's balance
+        self._holding_rates = {
+            State.SPEED: 0.0 if p[BRUSHES] else float(p[DRY_FRICTION]),
+            State.CURRENT: 0.0 if p[DRY_FRICTION] else float(p[BRUSHES]),
+        }
         self._straight: StraightMotion | None = None
         self._length_s = math.nan  # that straight motions were looked for of
         self.steps = 0
@@ -363,16 +367,18 @@ class _Motion:
         """Move on by a part of an interval, in shorter steps where a state passes zero."""
         rate_at = self._rate_at(volt)
         here = rate_at(start)
-        if may_be_held(here, length_s):
-            self.steps += HELD_COST
-            motion = held_motion(rate_at, start, length_s, self._holding_rad_s2)
-            if motion is not None:
-                return motion
+        motion = self._held_over(State.SPEED, rate_at, start, here, length_s)
+        if motion is not None:
+            return motion
         motion = None if straight is None else straight.moved(rate_at, start, here, level)
         if motion is not None:
             self.steps += STRAIGHT_COST
             return motion
-        may_halve = straight is not None and level < HALVINGS
+        if self._p[BRUSHES]:
+            motion = self._held_over(State.CURRENT, rate_at, start, here, length_s)
+            if motion is not None:
+                return motion
+        may_halve = level < HALVINGS
         few = FEW_STEPS * LARGEST_STEP
         away = _fastest(here)
         interval = Interval(volt, 0.0, 0.0, length_s)  # type: ignore[arg-type]
@@ -391,6 +397,15 @@ class _Motion:
         first = self._part(start, volt, half, level + 1, straight)
         then = self._part([*first.value], volt, half, level + 1, straight)
         return joined(first, then)
+
+    def _held_over(
+        self, state: State, rate_at: Any, start: list[float], here: Linear, length_s: float
+    ) -> Linear | None:
+        """Move on by a part over which friction or brushes hold a state; None where they do not."""
+        if not may_be_held(here, state, length_s):
+            return None
+        self.steps += HELD_COST
+        return held_motion(rate_at, start, state, length_s, self._holding_rates[state])
 
     @staticmethod
     def _steepest(
