@@ -49,6 +49,7 @@ from gray_box_observer.fit_test.least_squares import (
     shown_steps,
     steady_least_squares,
 )
+from gray_box_observer.fit_test.loss_doubt import loss_shifts, loss_told
 from gray_box_observer.fit_test.projection import (
     DISTINCT,
     Projection,
@@ -277,6 +278,7 @@ def analysis_in_pieces(
     window = {
         **stamp_amounts(run, projection, responses_a, noise_a, bias, is_white=is_white),
         **voltage_variances(run),
+        **(loss_told(run) if white_box.has_rotor else {}),
     }
     if measured_rad_s is None:
         earlier = without_speed(earlier)
@@ -310,6 +312,7 @@ def analysis_in_pieces(
         projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
         shown_steps(white_box, theta, evidence),
         shown_by_speed(white_box, evidence),
+        loss_shifts(white_box, run, projection, input_evidence),
         *(
             projection.open_shift(doubt, noise_a, is_white=is_white)
             for doubt in (

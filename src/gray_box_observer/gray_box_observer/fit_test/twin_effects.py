@@ -32,6 +32,9 @@ TWINS = {
 TOLD_APART = 10.0
 """Log-likelihood by which one of them must explain the data better than the other one."""
 
+OUTLIER = 4.0
+"""Standard deviations of the residual that count in that, at most."""
+
 
 def swap_shifts(white_box: WhiteBox, run: FreeRun, theta: Array, noise_a: float) -> Array:
     """Return how the logarithms of the parameters move where a twin takes an effect's place.
@@ -65,8 +68,9 @@ def _voltage_shifts(
     names = [parameter.name for parameter in white_box.parameters]
     own = names.index(name)
     current_a = interval_means(run.current_a)
+    effects = forms.WHOLE_MOTOR_EFFECTS if white_box.has_rotor else forms.EFFECTS
     shapes = {
-        LOST_VOLTAGE: np.asarray(forms.EFFECTS[LOST_VOLTAGE].value(current_a, 0.0, 0.0, 0.0)),
+        LOST_VOLTAGE: np.asarray(effects[LOST_VOLTAGE].value(current_a, 0.0, 0.0, 0.0)),
         DEAD_ZONE: np.asarray(
             forms.EFFECTS[DEAD_ZONE].value(0.0, 0.0, 0.0, run.stretch.voltage_v[0])
         ),
@@ -123,7 +127,10 @@ def _swapped(
     response, twin = responses
     others = np.delete(swapped_logarithms(run.jacobian[:, 1:]), own, axis=1)
     amounts, rest = run.explain(response, np.column_stack([others, twin]))
-    if not 0.5 * float(rest @ rest) < TOLD_APART * noise_a**2:
+    residual = np.clip(run.residual_a, -OUTLIER * noise_a, OUTLIER * noise_a)
+    residual *= np.sqrt(run.weight)
+    least = min(0.0, float(rest @ residual))  # the twin may explain even more
+    if not 0.5 * float(rest @ rest) + least < TOLD_APART * noise_a**2:
         return None
     shift: Array = np.insert(amounts[:-1], own, own_shift)
     return shift
