@@ -69,13 +69,13 @@ def means(seed: int) -> Array:
 
 
 @cache
-def signals(kind: str, lag_s: float, seed: int) -> Array:
+def signals(kind: str, lag_s: float, seed: int, duration_s: float = SECONDS) -> Array:
     """Voltages and torques of a gear motor behind a filter that its noise passes, shape (2, n)."""
     simulation = Simulation(
         {'motor': GEAR_MOTOR}, LIVELY, seed=seed, sample_rate_hz=RATE_HZ, torque_noise_std=0.0,
         speed_mode='rotor', torque_lag_s=lag_s if kind == 'analogue' else 0.0,
     )  # fmt: skip
-    record = simulation.record(SECONDS)
+    record = simulation.record(duration_s)
     torque_nm = record.torque_nm[0]
     if kind == 'mean':
         return means(seed)
@@ -101,10 +101,10 @@ def feed(observer: Observer, rows: Array, samples: range) -> None:
 
 
 @cache
-def observed(kind: str, lag_s: float, seed: int = 3) -> MotorView:
+def observed(kind: str, lag_s: float, seed: int = 3, duration_s: float = SECONDS) -> MotorView:
     """Return the motor behind a filter, as it is known in the end."""
     observer = fresh()
-    rows = signals(kind, lag_s, seed)
+    rows = signals(kind, lag_s, seed, duration_s)
     feed(observer, rows, range(rows.shape[1]))
     observer.finish()
     return observer.motors['motor']
@@ -120,7 +120,7 @@ def lag_of(motor: MotorView) -> CurrentLag:
 @pytest.mark.slow
 @pytest.mark.parametrize('lag_s', [1.5e-3, 3e-3, 6e-3])
 def test_a_moving_average_is_found_and_the_motor_behind_it_known(lag_s: float) -> None:
-    motor = observed('average', lag_s)
+    motor = observed('average', lag_s, duration_s=12.0)  # until its kind is told
     assert motor.fit.verdict is FitVerdict.OK
     assert motor.added_effects == ('current_lag',)
     lag = lag_of(motor)

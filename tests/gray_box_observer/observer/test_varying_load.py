@@ -16,7 +16,7 @@ from gray_box_observer.observer.motor_form import ROTOR, VARYING_LOAD, FormKind
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
-SAMPLES = 11000
+SAMPLES = 12000
 MOTOR = replace(GEAR_MOTOR, inductance=6e-3)
 LARGEST_LOAD_NM = 0.02
 GEAR_RATIO = 50.0

@@ -28,12 +28,13 @@ QUIET = 0.1
 """Current at these ends, over that of a motor that is driven: root mean squares."""
 
 
-def seems_to_coast(white_box: WhiteBox, samples: Array) -> bool:
+def seems_to_coast(white_box: WhiteBox, samples: Array, fewest: int = FEWEST) -> bool:
     """Tell whether no current flows where a command of 0 finds the motor turning.
 
     Args:
         white_box: of one motor.
         samples: shape (signal, n): the newest of it.
+        fewest: such commands from which that tells something.
     """
     voltage_v = samples[VOLTAGE]
     current_a = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
@@ -47,7 +48,7 @@ def seems_to_coast(white_box: WhiteBox, samples: Array) -> bool:
     was_fast = (last_driven > last_begun) & (np.abs(voltage_v[last_driven]) > least_v)
     since = np.where(was_fast, places - last_driven, 0)
     is_early = (since >= FIRST) & (since <= LAST)
-    if np.count_nonzero(since == FIRST) < FEWEST:
+    if np.count_nonzero(since == FIRST) < fewest:
         return False
     braking_a = np.minimum(current_a * np.sign(voltage_v[last_driven]), 0.0)
     most_a = QUIET * root_mean_square(current_a[is_driven])

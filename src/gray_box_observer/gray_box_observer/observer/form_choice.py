@@ -64,6 +64,9 @@ LONGEST_WAIT = 65536
 LONGEST_REASON = 500
 """Characters of a reason."""
 
+SHARES = 2
+"""Shares of work that a sample grants a trial: nothing is believed before it ends."""
+
 LATE_SIGNS = ('', COLOURED_NOISE, *LATE)
 """What the fit test suspects first, or nothing, where the current of a rotor may lag: a filter
 gives noise a memory, too."""
@@ -246,7 +249,7 @@ class FormChoice:
         is_doubted = self._is_doubted(fit)
         if is_doubted:
             self._pace.note_doubt(place)
-        self._budget.grant(float(sample.interval_s[0]), max(new_count, 1))
+        self._budget.grant(float(sample.interval_s[0]), SHARES * max(new_count, 1))
         is_open = is_doubted or self._has_open_lag
         self.is_idle = not (is_open or may_have_changed) and self._trial is None
         if not is_doubted:

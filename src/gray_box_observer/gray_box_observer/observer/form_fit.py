@@ -13,14 +13,15 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
+from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY
-from gray_box_observer.context_nodes.rotor.window import delayed_voltage
+from gray_box_observer.context_nodes.rotor.window import Window, delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
-from gray_box_observer.fit_test.effects import HYSTERESIS, LATE
+from gray_box_observer.fit_test.effects import LATE
+from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.motor_form import (
-    QUADRATIC_FRICTION,
     ROTOR,
     WORK_A_SAMPLE,
     FormKind,
@@ -37,6 +38,7 @@ from gray_box_observer.settings.sensor_lag import (
     CurrentLag,
     FilterKind,
 )
+from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
 
 MOST_ZONES, MOST_LAGS = 4, 6
@@ -91,6 +93,10 @@ NEAR_LAG, NEAR_STDS = 1e-3, 0.5
 """The same of a lag, and standard deviations of it that are as near."""
 
 
+SMALL = 0.03
+"""Share of the largest effect that signals allow, as which one begins that nothing is known of."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FormFit:
     """What a form has learnt of some samples.
@@ -115,6 +121,13 @@ class FormFit:
     def is_misfit(self) -> bool:
         """Whether it does not explain the samples."""
         return self.form.fit.assessment(0).verdict is FitVerdict.MISFIT
+
+    @property
+    def leaves_much(self) -> bool:
+        """Whether it does not explain the samples, or warns of more than is believed."""
+        assessment = self.form.fit.assessment(0)
+        is_warned = assessment.verdict is FitVerdict.WARNING
+        return self.is_misfit or (is_warned and leaves_much(assessment))
 
 
 class FormFitter:
@@ -160,13 +173,26 @@ class FormFitter:
         estimate = yield from form.learn_remembered(content, self._stamp_ns, start=start)
         return FormFit(kind, form, estimate)
 
+    def at(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a rotor with other effects, from where it stands alone: a quick look.
+
+        Args:
+            kind: with these effects.
+            before: with those that it has.
+            content: the samples.
+        """
+        form = self._open.make(kind)
+        start = _start_with(form, before.estimate, content)
+        estimate = yield from form.learn_remembered(
+            content, self._stamp_ns, start=start, searches_elsewhere=False
+        )
+        return FormFit(kind, form, estimate)
+
     def settled(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form again, until its dead zone and its lag stay; other forms stay as they are.
 
-        Where what it leaves looks like a lag first of all, it gets one; a plain rotor gets a
-        hysteresis likewise.
+        Where what it leaves looks like a lag first of all, it gets one.
         """
-        fit = yield from self._with_hysteresis(fit, content)
         if DEAD_ZONE in fit.kind.effects:
             fit = yield from self._with_settled_zone(fit, content)
         plain = fit
@@ -192,23 +218,6 @@ class FormFitter:
                 break
             kind = replace(kind, dead_zone_v=dead_zone_v)
             fit = yield from self.again(kind, fit, content)
-        return fit
-
-    def _with_hysteresis(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a plain rotor with hysteresis where what it leaves looks like that, first of all.
-
-        What a fan leaves looks so, too: it is tried where hysteresis does not explain the samples.
-        """
-        suspects = fit.form.fit.assessment(0).suspects
-        is_suspected = fit.is_misfit and bool(suspects) and suspects[0].effect == HYSTERESIS
-        if fit.kind != FormKind(ROTOR) or not is_suspected:
-            return fit
-        for effect in (HYSTERESIS, QUADRATIC_FRICTION):
-            kind = FormKind(ROTOR, (effect,))
-            if self._open.contains(kind):
-                other = yield from self.first(kind, content)
-                if not other.is_misfit:
-                    return other
         return fit
 
     def _is_late(self, fit: FormFit) -> bool:
@@ -364,12 +373,12 @@ class FormFitter:
         if _has_turned_back(other.kind.lag, lag):
             other = start
         yield WORK_A_SAMPLE * content.shape[2]
-        evidence = _evidence(fit, other, content)
-        if evidence < 0.0:
+        gain = _evidence(fit, other, content)
+        if gain < 0.0:
             fit, other = other, fit
         lag = fit.kind.lag
         assert lag is not None
-        if not abs(evidence) < TOLD_APART:
+        if not abs(gain) < TOLD_APART:
             return fit
         shift = _changes(fit, other)
         place = fit.form.white_box.context_nodes.index('inductance')
@@ -405,12 +414,12 @@ class FormFitter:
             if is_apart:
                 return fit
         else:
-            evidence = _evidence(fit, other, content)
-            if evidence < 0.0:
+            gain = _evidence(fit, other, content)
+            if gain < 0.0:
                 fit, other = other, fit
-                if abs(evidence) >= TOLD_APART:
+                if abs(gain) >= TOLD_APART:
                     return (yield from self._ordered(fit, content))
-            if abs(evidence) >= TOLD_APART:
+            if abs(gain) >= TOLD_APART:
                 return fit
             changes = _changes(fit, other)
         own_lag = fit.kind.lag
@@ -454,6 +463,28 @@ class FormFitter:
         return other
 
 
+def _start_with(form: MotorForm, before: Estimate, content: Array) -> Array:
+    """Return where a rotor with other effects begins, shape (1, parameter).
+
+    Args:
+        form: of it.
+        before: what is known with those that it has.
+        content: the samples.
+    """
+    white_box = form.white_box
+    start = np.array(form.context_nodes.theta[0])
+    values = dict(zip((one.name for one in before.parameters), before.value[0], strict=True))
+    for place, name in enumerate(white_box.context_nodes):
+        start[place] = values.get(name, start[place])
+    window = Window.from_samples(white_box, form.driven(content)[:, 0])
+    shares = shares_of_scale(white_box, start, window)
+    for place, name in enumerate(white_box.context_nodes):
+        is_new = name not in values and not TERMS[name].has_either_sign
+        if is_new and 0.0 < shares[place] < math.inf:
+            start[place] *= SMALL / shares[place]
+    return start[None]
+
+
 def _delayed(content: Array, delay_s: float) -> Array:
     """Return samples, shape (signal, 1, n), whose voltage acts later: means over their intervals.
 
@@ -492,6 +523,21 @@ def _changes(fit: FormFit, other: FormFit) -> list[float]:
 
 
 def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
+    """Return :func:`likelihood_gain`; 0 where too little has settled, or across gaps.
+
+    Args:
+        fit: of the one.
+        other: of the other one.
+        content: shape (signal, 1, n): the samples.
+    """
+    settle_s = max(fit.settle_s, other.settle_s)
+    has_gaps = bool((content[INTERVAL, 0, 1:] <= 0.0).any())  # what begins anew may decide there
+    if settled_count(content, settle_s) < FEWEST or has_gaps:
+        return 0.0
+    return likelihood_gain(fit, other, content)
+
+
+def likelihood_gain(fit: FormFit, other: FormFit, content: Array) -> float:
     """Return the log-likelihood by which one form is the better one, by what has settled in both.
 
     Args:
@@ -500,12 +546,9 @@ def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
         content: shape (signal, 1, n): the samples.
     """
     settle_s = max(fit.settle_s, other.settle_s)
-    count = settled_count(content, settle_s)
-    has_gaps = bool((content[INTERVAL, 0, 1:] <= 0.0).any())  # what begins anew may decide there
-    if count < FEWEST or has_gaps:
-        return 0.0
     left_a = fit.form.residual(content, settle_s)
-    return log_likelihood(count, other.form.residual(content, settle_s), left_a)
+    before_a = other.form.residual(content, settle_s)
+    return log_likelihood(settled_count(content, settle_s), before_a, left_a)
 
 
 def settled_count(content: Array, settle_s: float) -> int:

@@ -28,9 +28,11 @@ from gray_box_observer.context_nodes.rotor.window_learner import FEWEST_MOVES
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
+from gray_box_observer.observer.effect_search import EffectSearch
 from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
+from gray_box_observer.observer.suspected_effects import USUAL
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -81,12 +83,6 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
-
-TOGETHER = (
-    '; two effects that come together are not tried: declare speed_source: rotor, and name them in '
-    'context_nodes'
-)
-"""What is said where a rotor with one effect does not explain the data."""
 
 _RESISTANCE = 'resistance'
 _DECISIVE = (_RESISTANCE, 'inertia')
@@ -162,6 +158,8 @@ class FormTrial:
         self._start = start
         self._open = open_forms
         self._fitter = FormFitter(open_forms, start.stamp_ns)
+        self._search = EffectSearch(self._fitter, open_forms, start.kind)
+        self._misfits: list[FormKind] = []  # candidates
         self.backlog = list(backlog)
         self.adopted_count: int | None = None
         self.work = self._steps()
@@ -203,25 +201,26 @@ class FormTrial:
         Of two that are rivals a dead zone has to be clearly better: it is the rarer one. Beside a
         rotor, whose fit costs most, the first counts: what it does not explain tells it later.
         """
-        reasons = []
-        candidates = list(self._start.candidates)
-        for place, kind in enumerate(candidates):
-            outcome = yield from self._compare(kind)
-            if outcome.form is None:
-                reasons.append(f'{kind.in_words} {outcome.reason}')
+        reasons = {}
+        tasks = self._tasks
+        for place, (kind, asks_all) in enumerate(tasks):
+            if asks_all and kind not in self._misfits:  # more effects would tell less
                 continue
-            for rival in candidates[place + 1 :]:
+            outcome = yield from self._compare(kind, asks_all=asks_all)
+            if outcome.form is None:
+                reasons[kind.in_words] = outcome.reason
+                continue
+            for rival, _ in tasks[place + 1 :]:
                 if rival in kind.rivals and kind.source != ROTOR:
-                    other = yield from self._compare(rival)
+                    other = yield from self._compare(rival, asks_all=False)
                     outcome = min(outcome, other, key=self._doubt)
             break
         else:
             number = self._start.number
             times = f'{number} trials' if number > 1 else 'one trial'
             here = self._start.kind.in_words
-            because = f'{here} does not explain the data; after {times} {", ".join(reasons)}'
-            if any(kind.source == ROTOR and kind.effects for kind in candidates):
-                because += TOGETHER
+            others = ', '.join(f'{words} {reason}' for words, reason in reasons.items())
+            because = f'{here} does not explain the data; after {times} {others}'
             return TrialOutcome(None, because)
         form = outcome.form
         assert form is not None
@@ -233,28 +232,40 @@ class FormTrial:
             yield WORK_A_CATCH
         return outcome
 
-    def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
-        """Fit another form; return it where it explains the data clearly better."""
+    @property
+    def _tasks(self) -> list[tuple[FormKind, bool]]:
+        """The forms in the order in which they are tried, each with whether that asks for all.
+
+        A rotor that has failed is asked for all that it may need once the others have. A load that
+        varies explains most, and is asked for last.
+        """
+        kinds = self._start.candidates
+        first = [kind for kind in kinds if VARYING_LOAD not in kind.effects]
+        rotors = [kind for kind in first if kind.source == ROTOR]
+        last = [kind for kind in kinds if VARYING_LOAD in kind.effects]
+        groups = ((first, False), (rotors, True), (last, False))
+        return [(kind, asks_all) for group, asks_all in groups for kind in group]
+
+    def _compare(self, kind: FormKind, *, asks_all: bool) -> Pieces[TrialOutcome]:
+        """Fit another form; return it where it explains the data clearly better.
+
+        Args:
+            kind: of the form.
+            asks_all: whether it has failed, and all that a rotor may need is asked for.
+        """
         start = self._start
         content = self._start.content
-        total = content.shape[2]
         before_a = start.before_a
-        form = self._open.make(kind)
-        is_held = kind.source == ROTOR and begins_held(
-            form.white_box, Window.from_samples(form.white_box, form.driven(content)[:, 0])
-        )
-        for count in [*(look for look in LOOKS if look < total), total]:
-            part = content[:, :, :count] if is_held else content[:, :, -count:]
-            fit = yield from self._fitter.first(kind, part, form)
-            fit = yield from self._fitter.settled(fit, part)
-            kind = fit.kind
-            form = fit.form
-            may_settle = kind.source != ROTOR or COASTING in kind.effects
-            is_open = may_settle and count < total and not _has_settled(fit)
-            if fit.is_misfit and not is_open:
-                return TrialOutcome(None, self._why_not(fit))
+        fit = yield from (self._searched(kind) if asks_all else self._fitted(kind))
+        begun_with = kind
+        kind = fit.kind
+        if fit.is_misfit:
+            self._misfits.append(begun_with)
+            return TrialOutcome(None, self._why_not(fit))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')
+        if kind == start.kind:
+            return TrialOutcome(None, self._why_not(fit))
         if kind.is_same_but_for_lag(start.kind):
             return (yield from self._compare_lag(fit))
         left_a = fit.form.residual(content, fit.settle_s)
@@ -279,6 +290,39 @@ class FormTrial:
             if late.fit.assessment(0).verdict in (FitVerdict.OK, FitVerdict.WARNING):
                 return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
         return self._outcome(fit, left_a, before_a)
+
+    def _searched(self, kind: FormKind) -> Pieces[FormFit]:
+        """Fit a rotor to all samples at once, with whatever it may need beside.
+
+        Of forms that stand beside the one in force, and have an effect, only suspects are followed.
+        """
+        content = self._start.content
+        is_base = not kind.effects or kind.is_like(self._start.kind)
+        begin = yield from self._fitter.first(kind, content)
+        return (yield from self._search.explained(begin, content, USUAL if is_base else ()))
+
+    def _fitted(self, kind: FormKind) -> Pieces[FormFit]:
+        """Fit another form to ever more of the samples, until they are no longer explained.
+
+        Few samples tell at a fraction of the cost what they do not explain.
+        """
+        content = self._start.content
+        total = content.shape[2]
+        form = self._open.make(kind)
+        is_held = kind.source == ROTOR and begins_held(
+            form.white_box, Window.from_samples(form.white_box, form.driven(content)[:, 0])
+        )
+        for count in [*(look for look in LOOKS if look < total), total]:
+            part = content[:, :, :count] if is_held else content[:, :, -count:]
+            fit = yield from self._fitter.first(kind, part, form)
+            fit = yield from self._search.explained(fit, part)
+            kind = fit.kind
+            form = fit.form
+            may_settle = kind.source != ROTOR or COASTING in kind.effects
+            is_open = may_settle and count < total and not _has_settled(fit)
+            if fit.is_misfit and not is_open:
+                break
+        return fit
 
     def _compare_lag(self, fit: FormFit) -> Pieces[TrialOutcome]:
         """Return a form with another lag where its order is told, or it explains clearly more.
@@ -453,7 +497,7 @@ def _saved_candidates(
         kinds = tuple(_kind_of(one) for one in entries if isinstance(one, list) and one)
         if (
             len(kinds) == len(entries)
-            and kind not in kinds
+            and (kind not in kinds or kind.source == ROTOR)
             and all(map(open_forms.contains, kinds))
         ):
             return kinds

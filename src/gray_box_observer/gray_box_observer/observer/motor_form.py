@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -127,6 +127,13 @@ class FormKind:
         """Return the same form with one effect more."""
         return replace(self, effects=(*self.effects, node), lag=self._lag_in_either_order)
 
+    def with_effects(self, nodes: Sequence[str]) -> FormKind:
+        """Return the same form with those of some effects that it has not."""
+        kind = self
+        for node in nodes:
+            kind = kind if node in kind.effects else kind.with_effect(node)
+        return kind
+
     @property
     def rivals(self) -> list[FormKind]:
         """The same form with another effect that loses as many volts; none without such."""
@@ -149,6 +156,10 @@ class FormKind:
     def is_same_but_for_lag(self, other: FormKind) -> bool:
         """Tell whether another form is this one but for a lag of the current."""
         return replace(self, lag=None) == replace(other, lag=None)
+
+    def is_like(self, other: FormKind) -> bool:
+        """Tell whether another form has the same source of the speed, and the same effects."""
+        return self.source == other.source and set(self.effects) == set(other.effects)
 
     @property
     def _lag_in_either_order(self) -> CurrentLag | None:
@@ -198,6 +209,7 @@ class MotorForm:
         stamp_ns: int,
         *,
         start: Array | None = None,
+        searches_elsewhere: bool = True,
         asks_speed: bool = False,
     ) -> Pieces[Estimate]:
         """Learn the samples that another form remembers, all at once, and test the fit.
@@ -207,6 +219,7 @@ class MotorForm:
             stamp_ns: of the newest of them.
             start: shape (1, parameter): where nearly the same form has explained them; None:
                 nowhere.
+            searches_elsewhere: whether a rotor is looked for elsewhere, too.
             asks_speed: whether to ask if a measured speed is noisy or late.
         """
         nodes = self.context_nodes
@@ -216,7 +229,7 @@ class MotorForm:
         newest = _sample(content[:, 0, -1], stamp_ns)
         if isinstance(nodes, RotorUpdate):
             if start is not None:
-                nodes.begin_at(start)
+                nodes.begin_at(start, searches_elsewhere=searches_elsewhere)
             yield from nodes.learn_remembered(content, stamp_ns)
         elif isinstance(nodes, MeasuredSpeedUpdate):
             yield from nodes.learn_remembered(content, newest, asks_speed=asks_speed)

@@ -379,13 +379,14 @@ class RotorUpdate:
         """Whether the motor is explained, by less than a full window."""
         return self._learner.is_settled and self._learner.memory is None
 
-    def begin_at(self, theta: Array) -> None:
+    def begin_at(self, theta: Array, *, searches_elsewhere: bool = True) -> None:
         """Begin where nearly the same white box has explained the same samples.
 
         Args:
             theta: shape (1, parameter): there.
+            searches_elsewhere: whether the first fit looks for other ends, too.
         """
-        self._learner.begin_at(theta[0])
+        self._learner.begin_at(theta[0], searches_elsewhere=searches_elsewhere)
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.

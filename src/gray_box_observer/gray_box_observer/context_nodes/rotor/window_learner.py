@@ -132,6 +132,7 @@ class WindowLearner:
         self.voltage_noise = NO_NOISE
         self._soft_shift = np.zeros(self.logarithms.size)  # of what is remembered
         self.is_settled = False
+        self._searches_elsewhere = True
         self.has_rivals = True
         self.is_new_motor = False
         self.is_in_doubt = False
@@ -143,14 +144,16 @@ class WindowLearner:
         result: Array = np.exp(self.logarithms).clip(self._lower, self._upper)
         return result
 
-    def begin_at(self, theta: Array) -> None:
+    def begin_at(self, theta: Array, *, searches_elsewhere: bool = True) -> None:
         """Begin where nearly the same white box has explained the same samples.
 
         Args:
             theta: shape (parameter,): there.
+            searches_elsewhere: whether the first fit looks for other ends, too.
         """
         self.logarithms = np.log(np.clip(theta, self._lower, self._upper))
         self.is_settled = True
+        self._searches_elsewhere = searches_elsewhere
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; tell whether a fit was found. Before that nothing changes.
@@ -273,6 +276,13 @@ class WindowLearner:
     def _searched(self, window: Window) -> Pieces[Fit | None]:
         """Fit a window from where the motor stands, or from anywhere where that does not fit."""
         fit = None
+        if not self._searches_elsewhere:
+            fit = yield from fit_window(
+                self._white_box, window, self._prior(), [self.theta], tries_others=False
+            )
+            self._searches_elsewhere = True
+            self.is_settled = fit is not None and not self._is_poor(fit)
+            return fit
         if self.is_settled:
             fit = yield from self._fitted_again(window)
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
