@@ -29,6 +29,7 @@ from common.rotor.hidden_figures import (
     smooth_figures,
     sticky_figures,
     thesis_figures,
+    together_figures,
 )
 from common.rotor.measured_figures import (
     ENCODER_SEEDS,
@@ -77,6 +78,9 @@ def main() -> int:
         '--hysteresis', action='store_true', help='only rotors whose hysteresis nobody has named'
     )
     parser.add_argument(
+        '--together', action='store_true', help='only effects that come together, none named'
+    )
+    parser.add_argument(
         '--thesis', action='store_true', help="only the thesis's sets, whose speed is Kt i"
     )
     parser.add_argument(
@@ -105,6 +109,7 @@ def main() -> int:
         'fleet': lambda: fleet_figures(counts=counts),
         'smooth': lambda: smooth_figures(seeds, counts=counts),
         'hysteresis': lambda: hysteresis_figures(seeds, 0.5 * length_s, counts=counts),
+        'together': lambda: together_figures(seeds, length_s, counts=counts),
         'thesis': lambda: thesis_figures(seeds, counts=counts),
         'predict': lambda: prediction_figures(data, quick=options.quick),
         'axis': lambda: axis_figures(data),

@@ -76,7 +76,7 @@ def _claims(estimate: Estimate, motor: Motor) -> tuple[list[str], list[str]]:
     for j, parameter in enumerate(estimate.parameters):
         if estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
             continue
-        truth = getattr(motor, parameter.name)
+        truth = getattr(motor, parameter.name, 0.0)  # of an effect that it has not
         off = abs(estimate.value[0, j] - truth)
         is_wrong = off > FALSE_STDS * estimate.std[0, j] and off > FALSE_SHARE * truth
         (wrong if is_wrong else right).append(parameter.name)

@@ -59,6 +59,30 @@ def strong_hysteresis_motor(rng: np.random.Generator) -> Motor:
     return _with_hysteresis(gear_motor(rng), rng.uniform(0.1, 0.3))
 
 
+def brush_motor(rng: np.random.Generator) -> Motor:
+    """Draw a gear motor whose brushes take 0.2 to 1 V."""
+    return _with_brushes(gear_motor(rng), rng)
+
+
+def brush_fan_motor(rng: np.random.Generator) -> Motor:
+    """Draw a motor with a fan whose brushes take 0.2 to 1 V."""
+    return _with_brushes(fan_motor(rng), rng)
+
+
+def brush_hysteresis_motor(rng: np.random.Generator) -> Motor:
+    """Draw a gear motor with brushes and hysteresis, each as strong as in those above."""
+    return _with_brushes(strong_hysteresis_motor(rng), rng)
+
+
+def fan_hysteresis_motor(rng: np.random.Generator) -> Motor:
+    """Draw a motor with a fan and hysteresis, each as strong as in those above."""
+    return _with_hysteresis(fan_motor(rng), rng.uniform(0.1, 0.3))
+
+
+def _with_brushes(motor: Motor, rng: np.random.Generator) -> Motor:
+    return replace(motor, brush_drop=rng.uniform(0.2, 1.0))
+
+
 def _with_hysteresis(motor: Motor, share: float) -> Motor:
     full_speed = SUPPLY_V / motor.back_emf_constant
     return replace(motor, hysteresis=share * motor.resistance / full_speed)
