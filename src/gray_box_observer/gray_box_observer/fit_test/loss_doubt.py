@@ -28,7 +28,6 @@ for the current turns later than the voltage; levels in between, ramps and sines
 BOTH = 0.05
 """Share of the time in which the current has to flow either way, or it has one direction."""
 
-
 TOLD = 'loss_told'
 """Name of the evidence that a window has told of a loss."""
 
