@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gray_box_observer.fit_test.effects import KNEE, interval_means
+from gray_box_observer.fit_test.effects import Scene, interval_means
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Amount, Projection
@@ -28,7 +28,7 @@ for the current turns later than the voltage; levels in between, ramps and sines
 BOTH = 0.05
 """Share of the time in which the current has to flow either way, or it has one direction."""
 
-TOLD = 'loss_told'
+EVIDENCE_OF_LOSS = 'loss_told'
 """Name of the evidence that a window has told of a loss."""
 
 
@@ -47,7 +47,7 @@ def loss_told(run: FreeRun) -> dict[str, Amount]:
     weights = np.linalg.lstsq(basis, direction, rcond=1e-9)[0]
     rest = direction - basis @ weights
     is_told = float(rest @ rest) > TELLING * float(direction @ direction)
-    return {TOLD: Amount(0.0, 1.0)} if is_told else {}
+    return {EVIDENCE_OF_LOSS: Amount(0.0, 1.0)} if is_told else {}
 
 
 def loss_shifts(
@@ -64,7 +64,7 @@ def loss_shifts(
     names = [parameter.name for parameter in white_box.parameters]
     terms = {*names, *white_box.given}
     has_loss = not terms.isdisjoint((LOST_VOLTAGE, DEAD_ZONE))
-    if not isinstance(run, RotorFreeRun) or has_loss or TOLD in evidence.amounts:
+    if not isinstance(run, RotorFreeRun) or has_loss or EVIDENCE_OF_LOSS in evidence.amounts:
         return np.empty((0, len(names)))
     response_a = run.response(-LOSS_V * _direction(run)[None])[0]
     return projection.shift(projection.with_weight(response_a))[None]
@@ -72,7 +72,4 @@ def loss_shifts(
 
 def _direction(run: FreeRun) -> Array:
     """Return the sign of the current, softened, shape (k,)."""
-    current_a = interval_means(run.current_a)
-    size_a = np.abs(current_a)
-    direction: Array = current_a / (size_a + KNEE * float(size_a.max(initial=0.0)) + 1e-300)
-    return direction
+    return Scene(run.stretch.voltage_v[0], interval_means(run.current_a), None).direction

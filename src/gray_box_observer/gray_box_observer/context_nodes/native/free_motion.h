@@ -64,8 +64,8 @@ enum { FEW_STEPS = 4, STRAIGHT_COST = 2, HELD_COST = 4, FEWEST_INTERVALS = 8, MA
 #define SAME_LENGTH 1e-6
 
 /* Move on by a length, the ladder's where there is one: at once where friction holds the rotor,
- * brushes the current, or the rate is straight on the way, in steps where these are few, else by halves. Steps are shorter
- * where a state passes zero. */
+ * brushes the current, or the rate is straight on the way, in steps where these are few, else by
+ * halves. Steps are shorter where a state passes zero. */
 static Linear moved_on(const double *p, double torque_constant, const double *start, double voltage,
                        double length, const Stepping *by, int level, int64_t *taken)
 {
