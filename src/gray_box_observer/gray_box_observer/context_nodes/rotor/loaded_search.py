@@ -1,8 +1,9 @@
 """Gauss-Newton on the free run of a current whose motor has a load that varies.
 
-The load at given parameters is a search of its own: dry friction is not linear in it, and where a
-rotor is held the load has no derivative. Without that friction the run is nearly linear. So the
-load takes it for its own first; then it is taken off again, and the load is looked for once more.
+The load at given parameters is a search of its own: dry friction is not linear in it, nor is what
+brushes drop, and where a rotor or a current is held the load has no derivative. Without both the
+run is nearly linear. So the load takes them for its own first; then friction is taken off again,
+and the load is looked for once more.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 DRY_FRICTION = 'coulomb_friction'
+
+HOLDING = (DRY_FRICTION, 'brush_drop')
+"""Effects that may hold a state."""
 
 MOST_ROUNDS = 8
 """Linearisations in which a load is moved by itself, at most."""
@@ -66,6 +70,7 @@ class LoadedSearch(Search):
         super().__init__(white_box, window, prior, logarithms)
         nodes = white_box.context_nodes
         self._friction = nodes.index(DRY_FRICTION) if DRY_FRICTION in nodes else None
+        self._holders = [nodes.index(name) for name in HOLDING if name in nodes]
         self._inertia = nodes.index('inertia')
         self._has_load = starts is not None
         if starts is not None:
@@ -100,13 +105,13 @@ class LoadedSearch(Search):
     def _settle_history(self, row: int) -> Pieces[None]:
         """Move first states and load of a history by themselves: none waits for another one."""
         alone = self._alone(row, None)
-        if self._friction is not None:
+        if self._holders:
             smooth = self.logarithms.copy()
-            smooth[self._friction] = self._lower[self._friction]
-            if (yield from alone._descend_load(smooth)):
+            smooth[self._holders] = self._lower[self._holders]
+            if (yield from alone._descend_load(smooth)) and self._friction is not None:
                 alone._take_friction_off()
         has_run = yield from alone._descend_load(self.logarithms)
-        if not has_run and self._friction is not None:
+        if not has_run and self._holders:
             alone.starts = guessed_starts(self.white_box, np.exp(self.logarithms), alone.window)
             has_run = yield from alone._descend_load(self.logarithms)
         if has_run:
