@@ -74,6 +74,9 @@ MEAN_LAGS = (0.2, 0.8)
 """Lags, in sample intervals, as which readings show that are means of their intervals: these are
 late by half of one."""
 
+MOST_LAG_WORK = 3072
+"""Work of the search for a lag, for each sample, at most: what is no lag is searched for long."""
+
 MOST_KIND_WORK = 524288
 """Work of the question whether a filter is of another kind, at most."""
 
@@ -200,6 +203,14 @@ class FormFitter:
             fit = replace(fit, kind=fit.kind.with_effect(CURRENT_LAG))
         if CURRENT_LAG not in fit.kind.effects:
             return fit
+        most_work = MOST_LAG_WORK * content.shape[2]
+        late = yield from bounded(self._with_known_lag(fit, content), most_work)
+        if late is None or (late.kind.lag is None and CURRENT_LAG not in plain.kind.effects):
+            return plain
+        return late
+
+    def _with_known_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form again until its lag, and the filter that it comes from, stay."""
         fit = yield from self._with_settled_lag(fit, content)
         fit = yield from self._with_likelier_filter(fit, content)
         lag = fit.kind.lag
@@ -207,7 +218,7 @@ class FormFitter:
             other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
             other = yield from self._with_settled_lag(other, content)
             return fit if other.is_misfit else other
-        return plain if lag is None and CURRENT_LAG not in plain.kind.effects else fit
+        return fit
 
     def _with_settled_zone(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form with a dead zone again, until the commands that it swallows stay."""
@@ -217,7 +228,10 @@ class FormFitter:
             if abs(dead_zone_v - kind.dead_zone_v) <= NEAR_ZONE * dead_zone_v:
                 break
             kind = replace(kind, dead_zone_v=dead_zone_v)
-            fit = yield from self.again(kind, fit, content)
+            other = yield from self.again(kind, fit, content)
+            if other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART:
+                break  # it is not a dead zone that is left
+            fit = other
         return fit
 
     def _is_late(self, fit: FormFit) -> bool:
@@ -278,7 +292,11 @@ class FormFitter:
                     lag = before._replace(winding_s=winding_s)
                     fit = replace(fit, kind=replace(fit.kind, lag=lag))
                 break
-            fit = yield from self.again(replace(fit.kind, lag=lag), fit, content)
+            other = yield from self.again(replace(fit.kind, lag=lag), fit, content)
+            is_slight = other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART
+            if before is None and is_slight and fit.kind.source == ROTOR:  # it is no lag
+                break
+            fit = other
         return fit
 
     def _with_likelier_filter(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
