@@ -32,7 +32,7 @@ LOADED = {'motor.speed_source': 'rotor', 'motor.context_nodes': NODES}
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_a_load_of_either_sign_is_found_and_everything_is_right(sign: float) -> None:
     plant = replace(LIFTING, load_torque=sign * LIFTING.load_torque)
-    motor = observed(recorded(plant, LIVELY, 6.0, 2)).motors['motor']
+    motor = observed(recorded(plant, LIVELY, 8.0, 2)).motors['motor']
     assert motor.white_box.speed_source == 'rotor'
     assert motor.added_effects == ('load_torque',)
     assert motor.effects_reason.startswith('a rotor with a load explains the data')

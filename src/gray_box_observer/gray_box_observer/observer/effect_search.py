@@ -48,7 +48,12 @@ class EffectSearch:
         self._in_force = in_force
 
     def explained(
-        self, fit: FormFit, content: Array, further: Sequence[tuple[str, ...]] = ()
+        self,
+        fit: FormFit,
+        content: Array,
+        further: Sequence[tuple[str, ...]] = (),
+        *,
+        follows_suspects: bool = True,
     ) -> Pieces[FormFit]:
         """Settle a form, and add effects to a rotor until it explains the samples.
 
@@ -58,15 +63,14 @@ class EffectSearch:
             fit: of the form.
             content: shape (signal, 1, n): the samples.
             further: effects that are tried behind those that are suspected, some together.
+            follows_suspects: whether any are tried that are suspected.
         """
         fit = yield from self._fitter.settled(fit, content)
         plain = fit
         newest: tuple[str, ...] = ()
         while self._needs_more(fit):
-            suspects = suspected_beside_rotor(fit.form.fit.assessment(0))
-            may_coast = seems_to_coast(fit.form.white_box, content[:, 0], fewest=1)
-            first = [(COASTING,)] if may_coast else []  # which looks like brushes, too
-            effects = dict.fromkeys([*first, *suspects, *further])
+            suspects = self._suspected(fit, content) if follows_suspects else []
+            effects = dict.fromkeys([*suspects, *further])
             other = yield from self._with_one_more(fit, effects, content)
             if other is None:
                 return fit
@@ -75,6 +79,13 @@ class EffectSearch:
         if fit is plain:
             return fit
         return (yield from self._without_needless(fit, newest, content))
+
+    @staticmethod
+    def _suspected(fit: FormFit, content: Array) -> list[tuple[str, ...]]:
+        """Return effects that leave what a form leaves, the likeliest first."""
+        suspects = suspected_beside_rotor(fit.form.fit.assessment(0))
+        may_coast = seems_to_coast(fit.form.white_box, content[:, 0], fewest=1)
+        return [(COASTING,), *suspects] if may_coast else suspects  # it looks like brushes, too
 
     def _needs_more(self, fit: FormFit) -> bool:
         """Tell whether a form is a rotor that may get another effect, and needs one.

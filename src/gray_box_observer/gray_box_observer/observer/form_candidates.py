@@ -37,12 +37,10 @@ class FormCandidates:
     Attributes:
         kind: of the form in force.
         open_forms: which forms data may lead to.
-        trials: how many trials have begun before.
     """
 
     kind: FormKind
     open_forms: OpenForms
-    trials: int
 
     def instead(
         self, fit: FitAssessment, *, is_doubted: bool, has_no_speed: bool = False
@@ -134,9 +132,8 @@ class FormCandidates:
             plain: the form with the other source of the speed.
         """
         if self.kind.source == ROTOR:
-            kind = self.kind.without(LOAD_TORQUE)
-            return [] if VARYING_LOAD in kind.effects else [kind.with_effect(VARYING_LOAD)]
-        if plain is None or plain.source != ROTOR or not self.trials:
+            return [self.kind.without(LOAD_TORQUE).with_effects((VARYING_LOAD,))]
+        if plain is None or plain.source != ROTOR:
             return []
         return [plain.with_effect(VARYING_LOAD)]
 

@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes import ContextUpdate
 from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.observer.form_candidates import FormCandidates, is_uneasy
@@ -344,18 +344,17 @@ class FormChoice:
     def _may_have_changed(self, fit: FitAssessment) -> bool:
         """Tell whether a rotor looks like one that has changed: its next fit may explain the data.
 
-        Where that goes on for the samples of a trial, other forms are tried.
+        So does a load that has come. Where that goes on for the samples of a trial, other forms are
+        tried.
         """
-        return (
-            self.kind.source == ROTOR
-            and fit.verdict is FitVerdict.MISFIT
-            and bool(fit.suspects)
-            and fit.suspects[0].effect == CHANGE
-        )
+        likeliest = fit.suspects[0].effect if fit.suspects else ''
+        if fit.verdict is FitVerdict.MISFIT:
+            return self.kind.source == ROTOR and likeliest == CHANGE
+        return self.kind.source == ROTOR and likeliest == LOAD and is_uneasy(self.kind, fit)
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
-        if fit.verdict is FitVerdict.MISFIT:
+        if fit.verdict is FitVerdict.MISFIT or self._may_have_changed(fit):
             return self._change_count >= NEWEST or not self._may_have_changed(fit)
         is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
         return is_uneasy(self.kind, fit) and (likeliest in (ROTOR, COASTING) or is_late)
@@ -370,7 +369,7 @@ class FormChoice:
     ) -> tuple[FormKind, ...]:
         """Return the forms to try; see :meth:`FormCandidates.instead`."""
         assert self._open is not None
-        candidates = FormCandidates(self.kind, self._open, self._pace.trials)
+        candidates = FormCandidates(self.kind, self._open)
         is_doubted = self._is_doubted(fit)
         return candidates.instead(fit, is_doubted=is_doubted, has_no_speed=has_no_speed)
 

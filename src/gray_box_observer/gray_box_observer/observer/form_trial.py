@@ -32,7 +32,7 @@ from gray_box_observer.observer.effect_search import EffectSearch
 from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.suspected_effects import USUAL
+from gray_box_observer.observer.suspected_effects import BESIDE_A_LOAD, ON_THE_SHAFT, USUAL
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -57,6 +57,14 @@ NEWEST = 2048
 LOOKS = (512, 1024)
 """Newest samples of them that are tried first: what explains not even these is given up at a
 fraction of the cost."""
+
+FEWEST_OF_LOAD = LOOKS[-1]
+"""Samples from which a load that varies is asked for: fewer may be explained by it, whatever they
+are."""
+
+SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1024, 8192
+"""Work of the search for what a rotor may need, for each sample, at most: before a load that varies
+is asked for, behind it where more samples are to come, and else."""
 
 FEW_CANDIDATES = 4
 """Forms that one trial compares, at most, beside one with a load that varies."""
@@ -83,6 +91,9 @@ CATCH_UP, WORK_A_CATCH = 64, 3072
 
 LONGEST_BACKLOG = 4096
 """Newest samples that have come during a trial, of which the form that is adopted learns."""
+
+DOES_NOT = 'does not either'
+"""Why a form is not adopted that does not explain the samples."""
 
 _RESISTANCE = 'resistance'
 _DECISIVE = (_RESISTANCE, 'inertia')
@@ -159,7 +170,9 @@ class FormTrial:
         self._open = open_forms
         self._fitter = FormFitter(open_forms, start.stamp_ns)
         self._search = EffectSearch(self._fitter, open_forms, start.kind)
-        self._misfits: list[FormKind] = []  # candidates
+        self._misfits: dict[FormKind, FormFit] = {}  # of candidates
+        self._fewest_misfit = start.content.shape[2]  # samples that a rotor did not explain
+        self._leaves_much = False  # the form in force, where it was fitted to the samples anew
         self.backlog = list(backlog)
         self.adopted_count: int | None = None
         self.work = self._steps()
@@ -196,32 +209,10 @@ class FormTrial:
             form.catch_up(_content(rest), stamp_ns)
 
     def _steps(self) -> Pieces[TrialOutcome]:
-        """Compare every candidate; the first that is better takes over what has come since.
-
-        Of two that are rivals a dead zone has to be clearly better: it is the rarer one. Beside a
-        rotor, whose fit costs most, the first counts: what it does not explain tells it later.
-        """
-        reasons = {}
-        tasks = self._tasks
-        for place, (kind, asks_all) in enumerate(tasks):
-            if asks_all and kind not in self._misfits:  # more effects would tell less
-                continue
-            outcome = yield from self._compare(kind, asks_all=asks_all)
-            if outcome.form is None:
-                reasons[kind.in_words] = outcome.reason
-                continue
-            for rival, _ in tasks[place + 1 :]:
-                if rival in kind.rivals and kind.source != ROTOR:
-                    other = yield from self._compare(rival, asks_all=False)
-                    outcome = min(outcome, other, key=self._doubt)
-            break
-        else:
-            number = self._start.number
-            times = f'{number} trials' if number > 1 else 'one trial'
-            here = self._start.kind.in_words
-            others = ', '.join(f'{words} {reason}' for words, reason in reasons.items())
-            because = f'{here} does not explain the data; after {times} {others}'
-            return TrialOutcome(None, because)
+        """Find a better form, which takes over what has come since."""
+        outcome = yield from self._first_better()
+        if outcome.form is None:
+            return outcome
         form = outcome.form
         assert form is not None
         self.adopted_count = 0
@@ -233,34 +224,160 @@ class FormTrial:
         return outcome
 
     @property
-    def _tasks(self) -> list[tuple[FormKind, bool]]:
-        """The forms in the order in which they are tried, each with whether that asks for all.
+    def _count(self) -> int:
+        """How many samples there are."""
+        return int(self._start.content.shape[2])
 
-        A rotor that has failed is asked for all that it may need once the others have. A load that
-        varies explains most, and is asked for last.
+    @property
+    def _has_most(self) -> bool:
+        """Whether there are as many as a trial rests on at most."""
+        return self._count >= NEWEST
+
+    def _first_better(self) -> Pieces[TrialOutcome]:
+        """Compare every candidate, and return the first that is better.
+
+        Of two that are rivals a dead zone has to be clearly better: it is the rarer one. Beside a
+        rotor, whose fit costs most, the first counts: what it does not explain tells it later. A
+        rotor that has failed is asked for all that it may need, unless a load that varies explains
+        the samples: it explains what acts on the shaft, and nothing that takes voltage.
         """
-        kinds = self._start.candidates
-        first = [kind for kind in kinds if VARYING_LOAD not in kind.effects]
-        rotors = [kind for kind in first if kind.source == ROTOR]
-        last = [kind for kind in kinds if VARYING_LOAD in kind.effects]
-        groups = ((first, False), (rotors, True), (last, False))
-        return [(kind, asks_all) for group, asks_all in groups for kind in group]
+        reasons = {}
+        candidates = self._start.candidates
+        kinds = [kind for kind in candidates if VARYING_LOAD not in kind.effects]
+        for place, kind in enumerate(kinds):
+            outcome = yield from self._compare(kind)
+            if outcome.form is not None:
+                return (yield from self._best_rival(outcome, kind, kinds[place + 1 :]))
+            reasons[kind.in_words] = outcome.reason
+        failures = [kind for kind in kinds if kind.source == ROTOR and kind in self._misfits]
+        searches = {kind: self._searched(kind) for kind in failures}
+        for kind in failures if self._fewest_misfit > LOOKS[0] else ():
+            outcome = yield from self._compare_searched(searches, kind, SHORT_SEARCH_WORK)
+            if outcome.form is not None:
+                return outcome
+        has_load = False
+        for kind in candidates if self._count >= FEWEST_OF_LOAD else ():
+            if VARYING_LOAD in kind.effects:
+                outcome, has_load = yield from self._compare_load(kind)
+                if outcome.form is not None:
+                    return outcome
+                reasons[kind.in_words] = outcome.reason
+        most_work = SEARCH_WORK if self._has_most else FEW_SEARCH_WORK
+        for kind in [*searches] if not has_load else ():
+            outcome = yield from self._compare_searched(searches, kind, most_work)
+            if outcome.form is not None:
+                return outcome
+            reasons[kind.in_words] = outcome.reason
+        number = self._start.number
+        times = f'{number} trials' if number > 1 else 'one trial'
+        here = self._start.kind.in_words
+        others = ', '.join(f'{words} {reason}' for words, reason in reasons.items())
+        because = f'{here} does not explain the data; after {times} {others}'
+        return TrialOutcome(None, because)
 
-    def _compare(self, kind: FormKind, *, asks_all: bool) -> Pieces[TrialOutcome]:
-        """Fit another form; return it where it explains the data clearly better.
+    def _best_rival(
+        self, outcome: TrialOutcome, kind: FormKind, others: Sequence[FormKind]
+    ) -> Pieces[TrialOutcome]:
+        """Return the better one of a form's outcome and those of its rivals."""
+        for rival in others:
+            if rival in kind.rivals and kind.source != ROTOR:
+                other = yield from self._compare(rival)
+                outcome = min(outcome, other, key=self._doubt)
+        return outcome
+
+    def _compare_load(self, kind: FormKind) -> Pieces[tuple[TrialOutcome, bool]]:
+        """Fit a rotor with a load that varies, and ask what load explains as much.
+
+        Few samples do not tell it from what takes voltage. Where most of them are not explained,
+        one loss of voltage may be added.
+
+        Returns:
+            The outcome, and whether it is likely that a load was left out.
+        """
+        fit, outcome = yield from self._loaded(kind)
+        if fit.is_misfit and self._has_most:
+            explanations = []
+            for nodes in BESIDE_A_LOAD:
+                other_kind = kind.with_effects(nodes)
+                if self._open.contains(other_kind):
+                    other, other_outcome = yield from self._loaded(other_kind)
+                    if not other.leaves_much:
+                        explanations.append((other, other_outcome))
+            if len(explanations) == 1:
+                fit, outcome = explanations[0]
+        is_told = outcome.kind is not None and VARYING_LOAD not in outcome.kind.effects
+        if outcome.form is not None and not (is_told or self._has_most):
+            outcome = TrialOutcome(None, 'needs more samples')
+        return outcome, not fit.is_misfit
+
+    def _loaded(self, kind: FormKind) -> Pieces[tuple[FormFit, TrialOutcome]]:
+        """Fit a rotor with a load that varies to ever more samples, as long as it explains them.
+
+        What it tells of the winding by few of them is where effects on the shaft begin that may
+        explain all: of these the deviations are not opened.
+
+        Returns:
+            What explains the samples, or the newest fit, and its outcome.
+        """
+        form = self._open.make(kind)
+        is_first = True
+        for part in self._looks():
+            fit = yield from self._fitter.first(kind, part, form)
+            form = fit.form
+            if fit.is_misfit:
+                break
+            steady = None
+            if is_first:
+                steady = yield from self._with_told_load(fit)
+            if steady is not None:
+                outcome = yield from self._judged(steady)
+                if outcome.form is not None:
+                    return steady, outcome
+            is_first = False
+        outcome = yield from self._judged(fit)
+        return fit, outcome
+
+    def _with_told_load(self, fit: FormFit) -> Pieces[FormFit | None]:
+        """Look for effects on the shaft that explain as much as a load that varies; None: none do.
 
         Args:
-            kind: of the form.
-            asks_all: whether it has failed, and all that a rotor may need is asked for.
+            fit: with such a load, which tells what the winding does.
         """
+        kind = fit.kind.without(VARYING_LOAD)
+        before = fit
+        for part in self._looks(self._fewest_misfit):
+            steady = yield from self._fitter.at(kind, before, part)
+            steady = yield from self._search.explained(
+                steady, part, ON_THE_SHAFT, follows_suspects=False
+            )
+            if steady.leaves_much:
+                return None
+            kind = steady.kind
+            before = steady
+        return steady
+
+    def _looks(self, fewest: int = 0) -> list[Array]:
+        """Return ever more of the newest samples, so many at least, and at last all of them."""
+        content = self._start.content
+        counts = [count for count in LOOKS if fewest <= count < self._count]
+        return [content[:, :, -count:] for count in counts] + [content]
+
+    def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
+        """Fit another form; return it where it explains the data clearly better."""
+        fit = yield from self._fitted(kind)
+        if fit.is_misfit:
+            self._misfits[kind] = fit
+        if kind.is_like(self._start.kind):
+            self._leaves_much = fit.leaves_much
+        return (yield from self._judged(fit))
+
+    def _judged(self, fit: FormFit) -> Pieces[TrialOutcome]:
+        """Return a form that was fitted, where it explains the data clearly better."""
         start = self._start
         content = self._start.content
         before_a = start.before_a
-        fit = yield from (self._searched(kind) if asks_all else self._fitted(kind))
-        begun_with = kind
         kind = fit.kind
         if fit.is_misfit:
-            self._misfits.append(begun_with)
             return TrialOutcome(None, self._why_not(fit))
         if CURRENT_LAG in kind.effects and kind.lag is None:
             return TrialOutcome(None, 'cannot be told from them')
@@ -291,6 +408,22 @@ class FormTrial:
                 return TrialOutcome(None, 'is not needed: the measured speed is noisy or late')
         return self._outcome(fit, left_a, before_a)
 
+    def _compare_searched(
+        self, searches: dict[FormKind, Pieces[FormFit]], kind: FormKind, most_work: int
+    ) -> Pieces[TrialOutcome]:
+        """Compare a rotor that has failed with whatever it may need beside.
+
+        Args:
+            searches: for that, under way; one that ends is taken off.
+            kind: of the form that has failed.
+            most_work: for each sample.
+        """
+        fit = yield from bounded(searches[kind], most_work * self._count)
+        if fit is None:
+            return TrialOutcome(None, DOES_NOT)
+        del searches[kind]
+        return (yield from self._judged(fit))
+
     def _searched(self, kind: FormKind) -> Pieces[FormFit]:
         """Fit a rotor to all samples at once, with whatever it may need beside.
 
@@ -298,7 +431,9 @@ class FormTrial:
         """
         content = self._start.content
         is_base = not kind.effects or kind.is_like(self._start.kind)
-        begin = yield from self._fitter.first(kind, content)
+        begin = self._misfits[kind]
+        if self._fewest_misfit < self._count:
+            begin = yield from self._fitter.first(kind, content)
         return (yield from self._search.explained(begin, content, USUAL if is_base else ()))
 
     def _fitted(self, kind: FormKind) -> Pieces[FormFit]:
@@ -321,6 +456,8 @@ class FormTrial:
             may_settle = kind.source != ROTOR or COASTING in kind.effects
             is_open = may_settle and count < total and not _has_settled(fit)
             if fit.is_misfit and not is_open:
+                if kind.source == ROTOR:
+                    self._fewest_misfit = min(self._fewest_misfit, count)
                 break
         return fit
 
@@ -368,9 +505,8 @@ class FormTrial:
 
     def _doubt(self, outcome: TrialOutcome) -> float:
         """Return by how much an outcome is the worse one of two that are rivals."""
-        count = self._start.content.shape[2]
         is_rare = outcome.kind is not None and DEAD_ZONE in outcome.kind.effects
-        log_likelihood = -float(count) * math.log(max(outcome.left_a, 1e-300))
+        log_likelihood = -float(self._count) * math.log(max(outcome.left_a, 1e-300))
         return EVIDENCE * is_rare - log_likelihood
 
     def _is_better(self, other: FormFit, left_a: float, before_a: float) -> bool:
@@ -388,14 +524,17 @@ class FormTrial:
         )
 
     def _gain(self, fit: FormFit, left_a: float, before_a: float) -> float:
-        """Return the log-likelihood that a form brings, less what its parameters cost (BIC)."""
+        """Return the log-likelihood that a form brings, less what its parameters cost (BIC).
+
+        A load that varies costs nothing beside a rotor of which nothing is believed.
+        """
         count = settled_count(self._start.content, fit.settle_s)
         if not (left_a > 0.0 and np.isfinite(before_a)):
             return 0.0 if left_a > 0.0 else -math.inf
         if count == 0:
             return -math.inf
         parameters = len(fit.estimate.parameters) - self._start.parameters
-        if VARYING_LOAD in fit.kind.effects:
+        if VARYING_LOAD in fit.kind.effects and not self._leaves_much:
             samples = fit.form.driven(self._start.content)[:, 0]
             parameters += knot_count(Window.from_samples(fit.form.white_box, samples))
         cost = 0.5 * parameters * math.log(count)
@@ -405,7 +544,7 @@ class FormTrial:
     def _why_not(fit: FormFit) -> str:
         """Say why another form is not adopted."""
         if fit.is_misfit:
-            return 'does not either'
+            return DOES_NOT
         is_tested = fit.form.fit.assessment(0).verdict is not FitVerdict.UNTESTED
         if not (is_tested and _is_told(fit)):
             return 'cannot be told from them'

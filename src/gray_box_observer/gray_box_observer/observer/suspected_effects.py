@@ -45,6 +45,12 @@ USUAL = (
 )
 """Effects that a rotor may need whatever it leaves, the commonest first."""
 
+ON_THE_SHAFT = ((LOAD_TORQUE,), (QUADRATIC_FRICTION,), OFFSET_OF_CURRENT)
+"""Those of them that a load which varies explains, too."""
+
+BESIDE_A_LOAD = ((LOST_VOLTAGE,), (HYSTERESIS,))
+"""Those of them that it leaves; only one of them shows beside it."""
+
 FOLLOWED = 2
 """The likeliest suspects of a rotor that are followed."""
 
