@@ -2,8 +2,8 @@
 
 The load at given parameters is a search of its own: dry friction is not linear in it, nor is what
 brushes drop, and where a rotor or a current is held the load has no derivative. Without both the
-run is nearly linear. So the load takes them for its own first; then friction is taken off again,
-and the load is looked for once more.
+run is nearly linear. So the load takes them for its own first; then they are taken off again, and
+the load is looked for once more.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 
 DRY_FRICTION = 'coulomb_friction'
 
-HOLDING = (DRY_FRICTION, 'brush_drop')
+BRUSHES = 'brush_drop'
+
+HOLDERS = (DRY_FRICTION, BRUSHES)
 """Effects that may hold a state."""
 
 MOST_ROUNDS = 8
@@ -69,8 +71,7 @@ class LoadedSearch(Search):
     ) -> None:
         super().__init__(white_box, window, prior, logarithms)
         nodes = white_box.context_nodes
-        self._friction = nodes.index(DRY_FRICTION) if DRY_FRICTION in nodes else None
-        self._holders = [nodes.index(name) for name in HOLDING if name in nodes]
+        self._holders = [nodes.index(name) for name in HOLDERS if name in nodes]
         self._inertia = nodes.index('inertia')
         self._has_load = starts is not None
         if starts is not None:
@@ -108,8 +109,8 @@ class LoadedSearch(Search):
         if self._holders:
             smooth = self.logarithms.copy()
             smooth[self._holders] = self._lower[self._holders]
-            if (yield from alone._descend_load(smooth)) and self._friction is not None:
-                alone._take_friction_off()
+            if (yield from alone._descend_load(smooth)):
+                alone._take_holders_off()
         has_run = yield from alone._descend_load(self.logarithms)
         if not has_run and self._holders:
             alone.starts = guessed_starts(self.white_box, np.exp(self.logarithms), alone.window)
@@ -130,17 +131,30 @@ class LoadedSearch(Search):
         alone._start_precision = self._start_precision[row : row + 1]
         return alone
 
-    def _take_friction_off(self) -> None:
-        """Take dry friction off a load that has taken it for its own."""
-        assert self._friction is not None
-        values = np.exp(self.logarithms)
-        states = self._at.runs[0].states
+    def _take_holders_off(self) -> None:
+        """Take off a load what it has taken for its own.
+
+        Without what brushes drop, the speed was higher by as many volts of back-EMF.
+        """
+        nodes = self.white_box.context_nodes
+        values = self.white_box.values(np.exp(self.logarithms))
+        inertia = values['inertia']
+        interval_s = self.window.histories[0].interval_s
         loads = self.starts[0, self.window.unknowns.loads]
-        knot = np.round(knot_places(self.window.histories[0].interval_s, loads.size)).astype(int)
-        speed = 0.5 * (states[1:, State.SPEED] + states[:-1, State.SPEED])
+        current, speed = self._at.runs[0].states.T
+        excess = np.zeros_like(speed)
+        if BRUSHES in nodes:
+            noise = max(difference_noise(self.window.histories[0].current_a), self._floor_a)
+            excess = values[BRUSHES] / values['back_emf_constant'] * np.tanh(current / noise)
+        speed = _middle(speed - excess)
+        own = values.get('viscous_friction', 0.0) / inertia * _middle(excess)
+        own += np.diff(excess) / interval_s
+        if DRY_FRICTION in nodes:
+            own -= values[DRY_FRICTION] / inertia * np.sign(speed)
+        knot = np.round(knot_places(interval_s, loads.size)).astype(int)
         count = np.maximum(np.bincount(knot, minlength=loads.size), 1)
-        sign = np.bincount(knot, np.sign(speed), minlength=loads.size) / count
-        loads -= values[self._friction] / values[self._inertia] * sign
+        loads += np.bincount(knot, own, minlength=loads.size) / count
+        self.starts[0, State.SPEED] -= excess[0]
 
     def _descend_load(self, logarithms: Array) -> Pieces[bool]:
         """Step until no load moves, at held parameters; tell whether these can be run.
@@ -225,3 +239,8 @@ class LoadedSearch(Search):
             if (yield from alone._descend_load(self.logarithms)):
                 self.starts[row] = alone.starts[0]
         self._runs = yield from self._run(self.logarithms, self.starts)
+
+
+def _middle(signal: Array) -> Array:
+    """Return the middle of every interval, shape (k,), of a signal at its ends."""
+    return np.asarray(0.5 * (signal[1:] + signal[:-1]))
