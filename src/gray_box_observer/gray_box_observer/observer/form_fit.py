@@ -228,7 +228,7 @@ class FormFitter:
             if abs(dead_zone_v - kind.dead_zone_v) <= NEAR_ZONE * dead_zone_v:
                 break
             kind = replace(kind, dead_zone_v=dead_zone_v)
-            other = yield from self.again(kind, fit, content)
+            other = yield from self.at(kind, fit, content)
             if other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART:
                 break  # it is not a dead zone that is left
             fit = other

@@ -62,9 +62,12 @@ FEWEST_OF_LOAD = LOOKS[-1]
 """Samples from which a load that varies is asked for: fewer may be explained by it, whatever they
 are."""
 
-SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1024, 8192
+SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 8192
 """Work of the search for what a rotor may need, for each sample, at most: before a load that varies
 is asked for, behind it where more samples are to come, and else."""
+
+TOLD_LOAD_WORK = 512
+"""Work of the search for what may stand for a load that varies, for each sample, at most."""
 
 FEW_CANDIDATES = 4
 """Forms that one trial compares, at most, beside one with a load that varies."""
@@ -327,8 +330,9 @@ class FormTrial:
             if fit.is_misfit:
                 break
             steady = None
-            if is_first:
-                steady = yield from self._with_told_load(fit)
+            if is_first and not self._has_shaft_effect:
+                work = self._with_told_load(fit)
+                steady = yield from bounded(work, TOLD_LOAD_WORK * self._count)
             if steady is not None:
                 outcome = yield from self._judged(steady)
                 if outcome.form is not None:
@@ -336,6 +340,12 @@ class FormTrial:
             is_first = False
         outcome = yield from self._judged(fit)
         return fit, outcome
+
+    @property
+    def _has_shaft_effect(self) -> bool:
+        """Whether the form in force has effects on the shaft, which have failed then."""
+        names = {name for nodes in ON_THE_SHAFT for name in nodes}
+        return not names.isdisjoint(self._start.kind.effects)
 
     def _with_told_load(self, fit: FormFit) -> Pieces[FormFit | None]:
         """Look for effects on the shaft that explain as much as a load that varies; None: none do.
