@@ -2,7 +2,8 @@
 
 Gear motors are drawn that a position or speed controller moves along trapezoids, at 200 to 1,000
 Hz. They carry nothing, a constant load, gravity or a fan; nobody tells the observer. Their current
-has 0.3 to 3 % noise, a measured speed 0.2 %. A parameter is *false* as in ``trust``.
+has 0.3 to 3 % noise, a measured speed 0.2 %. ``--brushes`` gives them brushes that take 0.2 to 1 V. A
+parameter is *false* as in ``trust``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 from common.figures import Figure, figure_table, last_line, table
 from common.joints.drawn_joints import LOADS
@@ -61,9 +63,9 @@ class JointTrial:
         return abs(self.trial.errors.get('resistance', 1.0)) <= RELATIVE
 
 
-def try_joint(seed: int) -> JointTrial:
-    """Draw a joint and observe it."""
-    record = joint_record(seed)
+def try_joint(seed: int, *, has_brushes: bool = False) -> JointTrial:
+    """Draw a joint, with brushes or without, and observe it."""
+    record = joint_record(seed, has_brushes=has_brushes)
     return JointTrial(record.scenario.name, record.scenario.speed, run_trial(record))
 
 
@@ -117,12 +119,13 @@ def main() -> int:
     parser.add_argument('--quick', action='store_true', help=f'{QUICK_JOINTS} joints')
     parser.add_argument('--joints', type=int, help=f'how many (default {JOINTS})')
     parser.add_argument('--first-seed', type=int, default=0)
+    parser.add_argument('--brushes', action='store_true', help='their brushes take 0.2 to 1 V')
     parser.add_argument('--processes', type=int, default=2)
     options = parser.parse_args()
     count = options.joints or (QUICK_JOINTS if options.quick else JOINTS)
     seeds = range(options.first_seed, options.first_seed + count)
     with ProcessPoolExecutor(options.processes) as pool:
-        jobs = pool.map(try_joint, seeds)
+        jobs = pool.map(partial(try_joint, has_brushes=options.brushes), seeds)
         trials = list(progress_bar(jobs, total=count, unit='joint'))
     columns = ['all', 'R known', 'R within 2 %', *FOUND.values(), 'misfit', 'false', '> 1 s']
     header = ['joints', *columns]

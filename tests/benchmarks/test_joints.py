@@ -35,6 +35,21 @@ def test_power_is_lost_in_winding_friction_and_load(has_load: bool) -> None:
     assert lost == pytest.approx(delivered, rel=0.05)
 
 
+def test_brushes_take_what_the_user_does_not_know() -> None:
+    """At the same voltage they lose what they drop times the current, whatever its sign."""
+    plain = drawn('none', static_friction=1.0)
+    joint = replace(plain, motor=replace(plain.motor, brush_drop=0.8))
+    motor = joint.motor
+    voltage, current, speed = simulate(joint, replace(POSITION, rate_hz=5000.0), _rng())
+    delivered = np.mean(voltage * current)
+    lost = motor.resistance * np.mean(current**2) + motor.viscous_friction * np.mean(speed**2)
+    lost += motor.coulomb_friction * np.mean(np.abs(speed))
+    assert lost + 0.8 * np.mean(np.abs(current)) == pytest.approx(delivered, rel=0.05)
+    record = joint_record(3, has_brushes=True)
+    assert 0.2 <= record.truth['brush_drop'] <= 1.0
+    assert set(record.parameters) == set(joint_record(3).parameters)
+
+
 @pytest.mark.parametrize(('share', 'moves'), [(0.9, False), (1.1, True)])
 def test_friction_holds_a_shaft_until_it_breaks(share: float, moves: bool) -> None:
     joint = drawn('none', static_friction=1.0)

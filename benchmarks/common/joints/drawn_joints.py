@@ -22,7 +22,7 @@ class Joint:
     """A geared motor and what it moves, all seen at the shaft of the motor.
 
     Attributes:
-        motor: without hysteresis and without a drop at the brushes.
+        motor: without hysteresis, and drawn without a drop at the brushes.
         supply_v: the largest voltage.
         load: one of :data:`LOADS`.
         give_rad: angle of the motor's shaft by which friction gives before it breaks.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from common.trust.records import Record, Scenario
 
 SPEED_NOISE = 0.002
 """Standard deviation of the noise of a measured speed, over that of the speed."""
+
+BRUSH_DROP_V = (0.2, 1.0)
+"""Least and largest voltage that brushes take, of joints that have them."""
 
 SAMPLES = 8000
 LONGEST_S = 20.0
@@ -42,6 +46,10 @@ def simulate(
         torque -= joint.load_nm(angle, speed)
         return volt_left / motor.inductance, torque / motor.inertia
 
+    def less_drop(current: float, length_s: float) -> float:
+        taken_a = length_s * motor.brush_drop / motor.inductance
+        return math.copysign(max(abs(current) - taken_a, 0.0), current)
+
     for k in range(size):
         trapezoid.update(k / conditions.rate_hz, 1.0 / conditions.rate_hz)
         held_v = controller.voltage(angle_rad, speed_rad_s)
@@ -49,21 +57,30 @@ def simulate(
         for _ in range(substeps):
             held_nm = friction.torque(speed_rad_s)
             di, dw = rates(current_a, speed_rad_s, angle_rad, held_nm)
-            middle_a, middle_rad_s = current_a + 0.5 * step_s * di, speed_rad_s + 0.5 * step_s * dw
+            middle_a = less_drop(current_a + 0.5 * step_s * di, 0.5 * step_s)
+            middle_rad_s = speed_rad_s + 0.5 * step_s * dw
             middle_rad = angle_rad + 0.5 * step_s * speed_rad_s
             friction.move(middle_rad_s)
             held_nm = 0.5 * (held_nm + friction.torque(middle_rad_s))
             di, dw = rates(middle_a, middle_rad_s, middle_rad, held_nm)
-            current_a += step_s * di
+            current_a = less_drop(current_a + step_s * di, step_s)
             speed_rad_s += step_s * dw
             angle_rad += step_s * middle_rad_s
     return signals[0], signals[1], signals[2]
 
 
-def joint_record(seed: int) -> Record:
-    """Draw a joint, move it, and return what its user has: the two constants beside the log."""
+def joint_record(seed: int, *, has_brushes: bool = False) -> Record:
+    """Draw a joint, move it, and return what its user has: the two constants beside the log.
+
+    Args:
+        seed: of the joint.
+        has_brushes: whether its brushes drop a voltage.
+    """
     rng = np.random.default_rng([20_000, seed])
     joint = draw_joint(rng)
+    if has_brushes:
+        drop_v = np.random.default_rng([20_001, seed]).uniform(*BRUSH_DROP_V)
+        joint = replace(joint, motor=replace(joint.motor, brush_drop=float(drop_v)))
     conditions = draw_conditions(rng)
     motor = joint.motor
     volt, current, speed = simulate(joint, conditions, rng)
@@ -90,7 +107,7 @@ def joint_record(seed: int) -> Record:
     }
     names = ('inductance', 'resistance', 'hysteresis', 'back_emf_constant', 'inertia')
     truth = {name: float(getattr(motor, name)) for name in names}
-    truth |= {'brush_drop': 0.0, 'voltage_offset': 0.0}
+    truth |= {'brush_drop': motor.brush_drop, 'voltage_offset': 0.0}
     truth['viscous_friction'] = motor.viscous_friction
     truth['coulomb_friction'] = motor.coulomb_friction
     truth['quadratic_friction'] = joint.fan_nm_s2
