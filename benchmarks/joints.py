@@ -2,8 +2,8 @@
 
 Gear motors are drawn that a position or speed controller moves along trapezoids, at 200 to 1,000
 Hz. They carry nothing, a constant load, gravity or a fan; nobody tells the observer. Their current
-has 0.3 to 3 % noise, a measured speed 0.2 %. ``--brushes`` gives them brushes that take 0.2 to 1 V. A
-parameter is *false* as in ``trust``.
+has 0.3 to 3 % noise, a measured speed 0.2 %. With ``--brushes`` they have brushes that take 0.2 to
+1 V. A parameter is *false* as in ``trust``.
 """
 
 from __future__ import annotations

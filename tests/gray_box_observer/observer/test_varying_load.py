@@ -7,13 +7,32 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rotor_records import CONSTANTS, GEAR_MOTOR, feed, observed, recorded_under, told
+from rotor_records import (
+    CONSTANTS,
+    GEAR_MOTOR,
+    feed,
+    made,
+    observed,
+    recorded_under,
+    samples_of,
+    told,
+)
 
+from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.observer.motor_form import ROTOR, VARYING_LOAD, FormKind
+from gray_box_observer.observer.form_trial import NEWEST, FormTrial, TrialOutcome, TrialStart
+from gray_box_observer.observer.motor_form import (
+    POSSIBLE_EFFECTS,
+    ROTOR,
+    THESIS,
+    VARYING_LOAD,
+    FormKind,
+)
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.settings.configuration import Configuration
 
 SAMPLES = 12000
@@ -25,12 +44,15 @@ ELECTRICAL = ('inductance', 'resistance')
 MECHANICAL = ('inertia', 'viscous_friction', 'coulomb_friction')
 
 
+def gravity_nm(angle_rad: float) -> float:
+    """Torque that an arm takes at an angle of the motor."""
+    return LARGEST_LOAD_NM * float(np.sin(angle_rad / GEAR_RATIO))
+
+
 @cache
 def arm(samples: int = SAMPLES, seed: int = 1) -> Recording:
     """A gear motor that swings an arm: its load follows the sine of the arm's angle."""
-    return recorded_under(
-        MOTOR, lambda rad: LARGEST_LOAD_NM * float(np.sin(rad / GEAR_RATIO)), samples, seed
-    )
+    return recorded_under(MOTOR, gravity_nm, samples, seed)
 
 
 @cache
@@ -58,6 +80,44 @@ def test_of_its_rotor_nothing_is_identified() -> None:
         value, std, verdict = told(motor, name)
         assert verdict not in (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
         assert abs(value - getattr(MOTOR, name)) < 3.0 * std
+
+
+def outcome_of_trial(plant: PlantParameters, samples: int) -> TrialOutcome:
+    """Try a rotor, alone and with a load that varies, on so many samples of an arm."""
+    thesis = made('torque_constant')
+    for sample in samples_of(recorded_under(plant, gravity_nm, samples, 3)):
+        thesis.step(sample)
+    content = thesis.context_nodes.replay.newest(samples)
+    choice = made().form_choice
+    open_forms = OpenForms(choice.form_of, (THESIS, ROTOR), POSSIBLE_EFFECTS)
+    candidates = FormKind(ROTOR), FormKind(ROTOR, (VARYING_LOAD,))
+    start = TrialStart(FormKind(THESIS), candidates, 3, 1, content, 0, before_a=10.0)
+    return completed(FormTrial(start, open_forms).work)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('effect', ['brush_drop', 'hysteresis'])
+def test_a_loss_of_voltage_is_found_beside_it(effect: str) -> None:
+    plant = replace(MOTOR, **{effect: {'brush_drop': 0.5, 'hysteresis': 2e-4}[effect]})
+    outcome = outcome_of_trial(plant, NEWEST)
+    assert outcome.form is not None
+    assert outcome.kind == FormKind(ROTOR, (VARYING_LOAD, effect))
+    estimate = outcome.form.context_nodes.estimate()
+    for name in ('resistance', effect):
+        place = outcome.form.white_box.context_nodes.index(name)
+        true = getattr(plant, name)
+        assert abs(estimate.value[0, place] - true) < 4.0 * estimate.std[0, place]
+        assert estimate.value[0, place] == pytest.approx(true, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('samples', [900, 1200])
+def test_few_samples_do_not_tell_it_from_what_takes_voltage(samples: int) -> None:
+    """Below 1,024 it is not asked for."""
+    outcome = outcome_of_trial(MOTOR, samples)
+    assert outcome.form is None
+    is_asked = 'a rotor with a load that varies needs more samples' in outcome.reason
+    assert is_asked == (samples > 1024)
 
 
 def test_a_load_that_varies_has_a_constant_part() -> None:

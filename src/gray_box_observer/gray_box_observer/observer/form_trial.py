@@ -30,9 +30,10 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.effect_search import EffectSearch
 from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
+from gray_box_observer.observer.load_search import LOOKS, LoadSearch
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.suspected_effects import BESIDE_A_LOAD, ON_THE_SHAFT, USUAL
+from gray_box_observer.observer.suspected_effects import USUAL
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -54,10 +55,6 @@ from gray_box_observer.white_box.interface import Array
 NEWEST = 2048
 """Samples that a trial rests on, at most."""
 
-LOOKS = (512, 1024)
-"""Newest samples of them that are tried first: what explains not even these is given up at a
-fraction of the cost."""
-
 FEWEST_OF_LOAD = LOOKS[-1]
 """Samples from which a load that varies is asked for: fewer may be explained by it, whatever they
 are."""
@@ -65,9 +62,6 @@ are."""
 SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 8192
 """Work of the search for what a rotor may need, for each sample, at most: before a load that varies
 is asked for, behind it where more samples are to come, and else."""
-
-TOLD_LOAD_WORK = 512
-"""Work of the search for what may stand for a load that varies, for each sample, at most."""
 
 FEW_CANDIDATES = 4
 """Forms that one trial compares, at most, beside one with a load that varies."""
@@ -173,6 +167,7 @@ class FormTrial:
         self._open = open_forms
         self._fitter = FormFitter(open_forms, start.stamp_ns)
         self._search = EffectSearch(self._fitter, open_forms, start.kind)
+        self._loads = LoadSearch(self._fitter, self._search, open_forms, start.kind, start.content)
         self._misfits: dict[FormKind, FormFit] = {}  # of candidates
         self._fewest_misfit = start.content.shape[2]  # samples that a rotor did not explain
         self._leaves_much = False  # the form in force, where it was fitted to the samples anew
@@ -289,88 +284,22 @@ class FormTrial:
         return outcome
 
     def _compare_load(self, kind: FormKind) -> Pieces[tuple[TrialOutcome, bool]]:
-        """Fit a rotor with a load that varies, and ask what load explains as much.
+        """Compare a rotor with a load that varies, and with what may stand for it or beside it.
 
-        Few samples do not tell it from what takes voltage. Where most of them are not explained,
-        one loss of voltage may be added.
+        Few samples do not tell it from what takes voltage.
 
         Returns:
             The outcome, and whether it is likely that a load was left out.
         """
-        fit, outcome = yield from self._loaded(kind)
+        fewest = self._fewest_misfit
+        fit = yield from self._loads.alone(kind, fewest)
         if fit.is_misfit and self._has_most:
-            explanations = []
-            for nodes in BESIDE_A_LOAD:
-                other_kind = kind.with_effects(nodes)
-                if self._open.contains(other_kind):
-                    other, other_outcome = yield from self._loaded(other_kind)
-                    if not other.leaves_much:
-                        explanations.append((other, other_outcome))
-            if len(explanations) == 1:
-                fit, outcome = explanations[0]
-        is_told = outcome.kind is not None and VARYING_LOAD not in outcome.kind.effects
-        if outcome.form is not None and not (is_told or self._has_most):
+            fit = yield from self._loads.beside_loss(fit, kind, fewest)
+        outcome = yield from self._judged(fit)
+        is_early = VARYING_LOAD in fit.kind.effects and not self._has_most
+        if outcome.form is not None and is_early:
             outcome = TrialOutcome(None, 'needs more samples')
         return outcome, not fit.is_misfit
-
-    def _loaded(self, kind: FormKind) -> Pieces[tuple[FormFit, TrialOutcome]]:
-        """Fit a rotor with a load that varies to ever more samples, as long as it explains them.
-
-        What it tells of the winding by few of them is where effects on the shaft begin that may
-        explain all: of these the deviations are not opened.
-
-        Returns:
-            What explains the samples, or the newest fit, and its outcome.
-        """
-        form = self._open.make(kind)
-        is_first = True
-        for part in self._looks():
-            fit = yield from self._fitter.first(kind, part, form)
-            form = fit.form
-            if fit.is_misfit:
-                break
-            steady = None
-            if is_first and not self._has_shaft_effect:
-                work = self._with_told_load(fit)
-                steady = yield from bounded(work, TOLD_LOAD_WORK * self._count)
-            if steady is not None:
-                outcome = yield from self._judged(steady)
-                if outcome.form is not None:
-                    return steady, outcome
-            is_first = False
-        outcome = yield from self._judged(fit)
-        return fit, outcome
-
-    @property
-    def _has_shaft_effect(self) -> bool:
-        """Whether the form in force has effects on the shaft, which have failed then."""
-        names = {name for nodes in ON_THE_SHAFT for name in nodes}
-        return not names.isdisjoint(self._start.kind.effects)
-
-    def _with_told_load(self, fit: FormFit) -> Pieces[FormFit | None]:
-        """Look for effects on the shaft that explain as much as a load that varies; None: none do.
-
-        Args:
-            fit: with such a load, which tells what the winding does.
-        """
-        kind = fit.kind.without(VARYING_LOAD)
-        before = fit
-        for part in self._looks(self._fewest_misfit):
-            steady = yield from self._fitter.at(kind, before, part)
-            steady = yield from self._search.explained(
-                steady, part, ON_THE_SHAFT, follows_suspects=False
-            )
-            if steady.leaves_much:
-                return None
-            kind = steady.kind
-            before = steady
-        return steady
-
-    def _looks(self, fewest: int = 0) -> list[Array]:
-        """Return ever more of the newest samples, so many at least, and at last all of them."""
-        content = self._start.content
-        counts = [count for count in LOOKS if fewest <= count < self._count]
-        return [content[:, :, -count:] for count in counts] + [content]
 
     def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
         """Fit another form; return it where it explains the data clearly better."""
