@@ -135,17 +135,22 @@ def test_the_whole_run_takes_the_load_that_explains_it() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('is_stated', [False, True])
 @pytest.mark.parametrize('drop_v', [0.3, 0.8])
-def test_the_load_is_found_where_brushes_hold_the_current(drop_v: float) -> None:
+def test_the_load_is_found_where_brushes_hold_the_current(drop_v: float, is_stated: bool) -> None:
     """At the true values no window of a loaded motor may look like a misfit."""
     plant = replace(GEAR_MOTOR, brush_drop=drop_v)
     record = recorded_under(plant, lambda rad: 0.02 * float(np.sin(rad / 50.0)), 6144, 5)
     box = replace(VARYING, context_nodes=(*NODES, 'brush_drop'))
+    theta = np.append(THETA, drop_v)
+    if is_stated:
+        box = replace(VARYING, known={**VARYING.known, 'brush_drop': drop_v})
+        theta = THETA
     signals = signals_of(samples_of(record))
     for begin in range(0, signals.shape[1], 2048):
         part = signals[:, begin : begin + 2048].copy()
         part[0, 0] = 0.0
-        residual = part[2] / KT - loaded_current(box, np.append(THETA, drop_v), part)
+        residual = part[2] / KT - loaded_current(box, theta, part)
         assert np.std(residual) == pytest.approx(NOISE_NM / KT, rel=0.1)
 
 

@@ -90,7 +90,8 @@ class EffectSearch:
     def _needs_more(self, fit: FormFit) -> bool:
         """Tell whether a form is a rotor that may get another effect, and needs one.
 
-        A filter of the current, or a load that varies, explains too much with another one beside.
+        A filter of the current explains too much with another one beside. So does a load that
+        varies, but for a loss of voltage (:mod:`load_search`).
         """
         kind = fit.kind
         is_flexible = CURRENT_LAG in kind.effects or VARYING_LOAD in kind.effects

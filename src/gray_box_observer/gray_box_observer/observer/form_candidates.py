@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import COLOURED_NOISE
 from gray_box_observer.fit_test.speed_basis import leaves_much
-from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, TWINS
+from gray_box_observer.fit_test.twin_effects import TWINS
 from gray_box_observer.observer.form_trial import FEW_CANDIDATES
+from gray_box_observer.observer.load_search import SHAFT_EFFECTS
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.suspected_effects import NODES
@@ -126,13 +127,13 @@ class FormCandidates:
         return kinds
 
     def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
-        """Return a rotor with a load that varies: it explains most, and is asked last.
+        """Return a rotor with a load that varies, instead of other effects on the shaft.
 
         Args:
             plain: the form with the other source of the speed.
         """
         if self.kind.source == ROTOR:
-            return [self.kind.without(LOAD_TORQUE).with_effects((VARYING_LOAD,))]
+            return [self.kind.without(*SHAFT_EFFECTS).with_effects((VARYING_LOAD,))]
         if plain is None or plain.source != ROTOR:
             return []
         return [plain.with_effect(VARYING_LOAD)]

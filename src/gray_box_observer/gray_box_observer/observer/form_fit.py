@@ -132,6 +132,12 @@ class FormFit:
         is_warned = assessment.verdict is FitVerdict.WARNING
         return self.is_misfit or (is_warned and leaves_much(assessment))
 
+    @property
+    def explains(self) -> bool:
+        """Whether it was tested, and nothing is left that counts."""
+        is_tested = self.form.fit.assessment(0).verdict is not FitVerdict.UNTESTED
+        return is_tested and not self.leaves_much
+
 
 class FormFitter:
     """Fits forms of one motor to samples.
@@ -228,7 +234,8 @@ class FormFitter:
             if abs(dead_zone_v - kind.dead_zone_v) <= NEAR_ZONE * dead_zone_v:
                 break
             kind = replace(kind, dead_zone_v=dead_zone_v)
-            other = yield from self.at(kind, fit, content)
+            method = self.at if kind.source == ROTOR else self.again
+            other = yield from method(kind, fit, content)
             if other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART:
                 break  # it is not a dead zone that is left
             fit = other

@@ -55,9 +55,11 @@ from gray_box_observer.white_box.interface import Array
 NEWEST = 2048
 """Samples that a trial rests on, at most."""
 
-FEWEST_OF_LOAD = LOOKS[-1]
-"""Samples from which a load that varies is asked for: fewer may be explained by it, whatever they
-are."""
+SHORT_S = 1.0
+"""Time over which samples come, from which a load that varies is asked for."""
+
+LONG_S = 2.0
+"""The same from which it is adopted: within less it explains most, whatever that is."""
 
 SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 8192
 """Work of the search for what a rotor may need, for each sample, at most: before a load that varies
@@ -231,6 +233,11 @@ class FormTrial:
         """Whether there are as many as a trial rests on at most."""
         return self._count >= NEWEST
 
+    @property
+    def _span_s(self) -> float:
+        """Time over which they come; as many as a trial rests on at most are always enough."""
+        return math.inf if self._has_most else float(self._start.content[INTERVAL, 0].sum())
+
     def _first_better(self) -> Pieces[TrialOutcome]:
         """Compare every candidate, and return the first that is better.
 
@@ -254,12 +261,13 @@ class FormTrial:
             if outcome.form is not None:
                 return outcome
         has_load = False
-        for kind in candidates if self._count >= FEWEST_OF_LOAD else ():
-            if VARYING_LOAD in kind.effects:
-                outcome, has_load = yield from self._compare_load(kind)
-                if outcome.form is not None:
-                    return outcome
-                reasons[kind.in_words] = outcome.reason
+        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects]
+        is_needed = bool(failures) or self._leaves_much
+        for kind in loads[-1:] if is_needed and self._span_s >= SHORT_S else ():
+            outcome, has_load = yield from self._compare_load(kind)
+            if outcome.form is not None:
+                return outcome
+            reasons[kind.in_words] = outcome.reason
         most_work = SEARCH_WORK if self._has_most else FEW_SEARCH_WORK
         for kind in [*searches] if not has_load else ():
             outcome = yield from self._compare_searched(searches, kind, most_work)
@@ -293,13 +301,15 @@ class FormTrial:
         """
         fewest = self._fewest_misfit
         fit = yield from self._loads.alone(kind, fewest)
-        if fit.is_misfit and self._has_most:
-            fit = yield from self._loads.beside_loss(fit, kind, fewest)
+        if (fit is None or fit.is_misfit) and self._span_s >= LONG_S:
+            fit = yield from self._loads.beside_loss(kind, fit, fewest)
+        if fit is None:
+            return TrialOutcome(None, DOES_NOT), False
         outcome = yield from self._judged(fit)
-        is_early = VARYING_LOAD in fit.kind.effects and not self._has_most
+        is_early = VARYING_LOAD in fit.kind.effects and self._span_s < LONG_S
         if outcome.form is not None and is_early:
             outcome = TrialOutcome(None, 'needs more samples')
-        return outcome, not fit.is_misfit
+        return outcome, fit.explains
 
     def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
         """Fit another form; return it where it explains the data clearly better."""

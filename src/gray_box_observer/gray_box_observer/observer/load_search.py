@@ -8,9 +8,9 @@ A loss of voltage may stand beside it (docs/METHOD.md, A load that varies).
 from __future__ import annotations
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
-from gray_box_observer.observer.effect_search import EffectSearch
-from gray_box_observer.observer.form_fit import FormFit, FormFitter
-from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.effect_search import EVIDENCE, EffectSearch
+from gray_box_observer.observer.form_fit import FormFit, FormFitter, likelihood_gain
+from gray_box_observer.observer.motor_form import ROTOR, FormKind
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.suspected_effects import BESIDE_A_LOAD, ON_THE_SHAFT
 from gray_box_observer.settings.motor_configuration import VARYING_LOAD
@@ -19,6 +19,15 @@ from gray_box_observer.white_box.interface import Array
 LOOKS = (512, 1024)
 """Newest samples of a trial that are tried first: what explains not even these is given up at a
 fraction of the cost."""
+
+SHAFT_EFFECTS = frozenset(name for nodes in ON_THE_SHAFT for name in nodes)
+"""Effects that may stand for a load that varies."""
+
+SURE = 4.0
+"""Standard deviations from nothing from which a loss of voltage beside it shows."""
+
+LOOK_WORK = 2048
+"""Work of a fit to a look, for each of its samples, at most: what no load explains takes long."""
 
 TOLD_LOAD_WORK = 512
 """Work of the search for what may stand for a load that varies, for each sample, at most."""
@@ -59,10 +68,10 @@ class LoadSearch:
         self._effects = effects
         self._open = open_forms
         self._content = content
-        on_shaft = {name for nodes in ON_THE_SHAFT for name in nodes}
-        self._may_stand = on_shaft.isdisjoint(in_force.effects)  # else they have failed
+        has_failed = in_force.source == ROTOR and not SHAFT_EFFECTS.isdisjoint(in_force.effects)
+        self._may_stand = not has_failed
 
-    def alone(self, kind: FormKind, fewest: int) -> Pieces[FormFit]:
+    def alone(self, kind: FormKind, fewest: int) -> Pieces[FormFit | None]:
         """Fit a rotor with such a load to ever more samples, as long as it explains them.
 
         What it tells of the winding by few of them is where effects on the shaft begin, which may
@@ -73,15 +82,17 @@ class LoadSearch:
             fewest: samples that the rotor did not explain without it.
 
         Returns:
-            The fit that explains all samples, or the newest one, a misfit.
+            The fit that explains all samples, or the newest one, a misfit; None where that takes
+            too much work.
         """
         form = self._open.make(kind)
-        looks = newest_looks(self._content)
-        for place, part in enumerate(looks):
-            fit = yield from self._fitter.first(kind, part, form)
-            form = fit.form
-            if fit.is_misfit:
+        fit = None
+        for place, part in enumerate(newest_looks(self._content)):
+            work = self._fitter.first(kind, part, form)
+            fit = yield from bounded(work, LOOK_WORK * part.shape[2])
+            if fit is None or fit.is_misfit:
                 break
+            form = fit.form
             if place == 0 and self._may_stand:
                 most = TOLD_LOAD_WORK * self._content.shape[2]
                 other = yield from bounded(self._stand_in(fit, fewest), most)
@@ -89,22 +100,43 @@ class LoadSearch:
                     return other
         return fit
 
-    def beside_loss(self, fit: FormFit, kind: FormKind, fewest: int) -> Pieces[FormFit]:
+    def beside_loss(
+        self, kind: FormKind, fit: FormFit | None, fewest: int
+    ) -> Pieces[FormFit | None]:
         """Add the one loss of voltage with which the samples are explained.
 
         Args:
-            fit: without one, a misfit: it is returned where none explains them, or more than one.
-            kind: of that form.
+            kind: of the form without one.
+            fit: of it, a misfit; None where it took too much work.
             fewest: samples that the rotor did not explain without the load.
+
+        Returns:
+            The fit; None where none explains them, or more than one.
         """
         explanations = []
         for nodes in BESIDE_A_LOAD:
             other_kind = kind.with_effects(nodes)
             if other_kind != kind and self._open.contains(other_kind):
                 other = yield from self.alone(other_kind, fewest)
-                if not other.leaves_much:
+                if other is not None and other.explains and self._shows(nodes, other, fit):
                     explanations.append(other)
-        return explanations[0] if len(explanations) == 1 else fit
+        return explanations[0] if len(explanations) == 1 else None
+
+    def _shows(self, nodes: tuple[str, ...], other: FormFit, fit: FormFit | None) -> bool:
+        """Tell whether a loss that was added is no accident.
+
+        Args:
+            nodes: what was added.
+            other: the fit with it, which may have something else for the load.
+            fit: without it, a misfit; None: there is none.
+        """
+        estimate = other.estimate
+        is_far = all(
+            estimate.value[0, place] > SURE * estimate.std[0, place]
+            for place, parameter in enumerate(estimate.parameters)
+            if parameter.name in nodes
+        )
+        return is_far and (fit is None or likelihood_gain(other, fit, self._content) > EVIDENCE)
 
     def _stand_in(self, fit: FormFit, fewest: int) -> Pieces[FormFit | None]:
         """Look for effects on the shaft that explain as much as a load that varies; None: none do.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
-from gray_box_observer.context_nodes.rotor.loaded_fit import LoadedFit, fit_loaded
+from gray_box_observer.context_nodes.rotor.loaded_fit import ROUGH, LoadedFit, fit_loaded
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -19,6 +19,9 @@ from gray_box_observer.context_nodes.rotor.window_learner import (
 )
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.white_box.interface import Array
+
+SURE = 3.0
+"""Standard deviations of what a load may have done, beyond which the motor is another one."""
 
 
 class LoadedLearner(WindowLearner):
@@ -59,6 +62,18 @@ class LoadedLearner(WindowLearner):
     def _noted(self, fit: LoadedFit | None) -> Fit | None:
         self._newest_fit = fit
         return None if fit is None else fit.fit
+
+    def _contradicts(self, fit: Fit) -> bool:
+        """Tell whether a window says other than what was known before it.
+
+        What a load may have done that is no random walk is no contradiction.
+        """
+        if self.memory is None or self._newest_fit is None:
+            return False
+        sharp = np.diagonal(self.memory.precision) > 0.0
+        reach = SURE * np.maximum(self._newest_fit.open_std, ROUGH['resistance'])
+        is_far = np.abs(fit.logarithms - self.memory.mean) > reach
+        return bool((is_far & sharp).any()) and super()._contradicts(fit)
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples."""

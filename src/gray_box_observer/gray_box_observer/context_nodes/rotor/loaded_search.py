@@ -8,6 +8,7 @@ the load is looked for once more.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -106,54 +107,66 @@ class LoadedSearch(Search):
     def _settle_history(self, row: int) -> Pieces[None]:
         """Move first states and load of a history by themselves: none waits for another one."""
         alone = self._alone(row, None)
-        if self._holders:
-            smooth = self.logarithms.copy()
-            smooth[self._holders] = self._lower[self._holders]
-            if (yield from alone._descend_load(smooth)):
-                alone._take_holders_off()
+        values = self.white_box.values(np.exp(self.logarithms))
+        has_holders = any(values.get(name, 0.0) > 0.0 for name in HOLDERS)
+        if has_holders:
+            known_values = {n: v for n, v in self.white_box.known.items() if n not in HOLDERS}
+            smooth = self._alone(row, None, replace(self.white_box, known=known_values))
+            logarithms = self.logarithms.copy()
+            logarithms[self._holders] = self._lower[self._holders]
+            if (yield from smooth._descend_load(logarithms)):
+                smooth._take_holders_off(values)
+            alone.starts = smooth.starts
         has_run = yield from alone._descend_load(self.logarithms)
-        if not has_run and self._holders:
+        if not has_run and has_holders:
             alone.starts = guessed_starts(self.white_box, np.exp(self.logarithms), alone.window)
             has_run = yield from alone._descend_load(self.logarithms)
         if has_run:
             self.starts[row] = alone.starts[0]
 
-    def _alone(self, row: int, starts: Array | None) -> LoadedSearch:
-        """Return a search of one history at the same values: what all of them tell stays known."""
+    def _alone(
+        self, row: int, starts: Array | None, white_box: MotorWhiteBox | None = None
+    ) -> LoadedSearch:
+        """Return a search of one history at the same values: what all of them tell stays known.
+
+        Args:
+            row: of the history.
+            starts: first states and load there, where they were found before.
+            white_box: with the same context nodes; None: that of this search.
+        """
         window = replace(
             self.window,
             histories=(self.window.histories[row],),
             voltage_elsewhere_v=self.window.largest_voltage_v,
         )
-        alone = LoadedSearch(self.white_box, window, self.prior, self.logarithms, starts)
+        box = self.white_box if white_box is None else white_box
+        alone = LoadedSearch(box, window, self.prior, self.logarithms, starts)
         alone._floor_a = self._floor_a
         alone._start_std = self._start_std[row : row + 1]
         alone._start_precision = self._start_precision[row : row + 1]
         return alone
 
-    def _take_holders_off(self) -> None:
+    def _take_holders_off(self, values: Mapping[str, float]) -> None:
         """Take off a load what it has taken for its own.
 
         Without what brushes drop, the speed was higher by as many volts of back-EMF.
+
+        Args:
+            values: of every term, friction and brushes among them.
         """
-        nodes = self.white_box.context_nodes
-        values = self.white_box.values(np.exp(self.logarithms))
         inertia = values['inertia']
         interval_s = self.window.histories[0].interval_s
         loads = self.starts[0, self.window.unknowns.loads]
         current, speed = self._at.runs[0].states.T
-        excess = np.zeros_like(speed)
-        if BRUSHES in nodes:
-            noise = max(difference_noise(self.window.histories[0].current_a), self._floor_a)
-            excess = values[BRUSHES] / values['back_emf_constant'] * np.tanh(current / noise)
-        speed = _middle(speed - excess)
-        own = values.get('viscous_friction', 0.0) / inertia * _middle(excess)
-        own += np.diff(excess) / interval_s
-        if DRY_FRICTION in nodes:
-            own -= values[DRY_FRICTION] / inertia * np.sign(speed)
+        noise = max(difference_noise(self.window.histories[0].current_a), self._floor_a)
+        drop_v = values.get(BRUSHES, 0.0) * np.tanh(current / noise)
+        excess = drop_v / values['back_emf_constant']
+        torque = values.get('viscous_friction', 0.0) * _middle(excess)
+        torque -= values.get(DRY_FRICTION, 0.0) * np.sign(_middle(speed - excess))
+        shift = torque / inertia + np.diff(excess) / interval_s
         knot = np.round(knot_places(interval_s, loads.size)).astype(int)
         count = np.maximum(np.bincount(knot, minlength=loads.size), 1)
-        loads += np.bincount(knot, own, minlength=loads.size) / count
+        loads += np.bincount(knot, shift, minlength=loads.size) / count
         self.starts[0, State.SPEED] -= excess[0]
 
     def _descend_load(self, logarithms: Array) -> Pieces[bool]:
