@@ -40,8 +40,10 @@ NAMES = ('inductance', 'resistance')
     [
         (SpeedBasis.HIDDEN, OK, 1.09, 4096, 0),
         (SpeedBasis.HIDDEN, OK, 1.12, 4096, 2),
-        (SpeedBasis.HIDDEN, OK, 1.19, 400, 0),
-        (SpeedBasis.HIDDEN, OK, 1.21, 400, 2),
+        (SpeedBasis.HIDDEN, OK, 1.17, 512, 0),
+        (SpeedBasis.HIDDEN, OK, 1.18, 512, 2),
+        (SpeedBasis.HIDDEN, OK, 1.0, 511, 2),
+        (SpeedBasis.ASSUMED, OK, 1.0, 100, 0),
         (SpeedBasis.HIDDEN, WARNING, 1.02, 2048, 0),
         (SpeedBasis.MEASURED, OK, 1.12, 4096, 1),
         (SpeedBasis.MEASURED, WARNING, 1.05, 2048, 0),

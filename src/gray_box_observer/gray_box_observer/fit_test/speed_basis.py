@@ -21,6 +21,11 @@ SPREAD = 4.0
 """How far beyond 1 the ratio may come by chance, times the root of the samples: three of its
 standard deviations."""
 
+FEWEST = 512
+"""Samples of a test from which a rotor is believed whose speed nobody measures: friction that falls
+with the speed, or brushes, explain fewer with an R that was 25 to 50 % off."""
+
+FEW = 'few samples, of a rotor that has hardly begun to turn: record for longer'
 
 FILTERED = (
     'a filter of the current: send it as it is measured, or undo a moving average by '
@@ -63,6 +68,8 @@ class SpeedBasis(Enum):
         """
         if fit.verdict is FitVerdict.MISFIT:  # of which nothing is believed
             return None
+        if self is SpeedBasis.HIDDEN and fit.samples < FEWEST:
+            return Withheld(tuple(names), FEW)
         if self is SpeedBasis.HIDDEN and leaves_much(fit):
             return Withheld(tuple(names), f'{FILTERED}; send the speed too, where there is one')
         if self is SpeedBasis.EXACT and fit.verdict is FitVerdict.WARNING:
