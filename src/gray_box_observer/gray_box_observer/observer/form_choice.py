@@ -354,8 +354,10 @@ class FormChoice:
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         likeliest = fit.suspects[0].effect if fit.suspects else ''
-        if fit.verdict is FitVerdict.MISFIT or self._may_have_changed(fit):
-            return self._change_count >= NEWEST or not self._may_have_changed(fit)
+        if self._may_have_changed(fit):
+            return self._change_count >= NEWEST
+        if fit.verdict is FitVerdict.MISFIT:
+            return True
         is_late = self.kind.source == ROTOR and likeliest in LATE_SIGNS and self.kind.lag is None
         return is_uneasy(self.kind, fit) and (likeliest in (ROTOR, COASTING) or is_late)
 

@@ -236,7 +236,7 @@ class FormFitter:
             kind = replace(kind, dead_zone_v=dead_zone_v)
             method = self.at if kind.source == ROTOR else self.again
             other = yield from method(kind, fit, content)
-            if other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART:
+            if _is_no_better(other, fit, content):
                 break  # it is not a dead zone that is left
             fit = other
         return fit
@@ -300,8 +300,8 @@ class FormFitter:
                     fit = replace(fit, kind=replace(fit.kind, lag=lag))
                 break
             other = yield from self.again(replace(fit.kind, lag=lag), fit, content)
-            is_slight = other.leaves_much and likelihood_gain(other, fit, content) < TOLD_APART
-            if before is None and is_slight and fit.kind.source == ROTOR:  # it is no lag
+            is_first = before is None and fit.kind.source == ROTOR
+            if is_first and _is_no_better(other, fit, content):  # it is no lag
                 break
             fit = other
         return fit
@@ -574,6 +574,11 @@ def likelihood_gain(fit: FormFit, other: FormFit, content: Array) -> float:
     left_a = fit.form.residual(content, settle_s)
     before_a = other.form.residual(content, settle_s)
     return log_likelihood(settled_count(content, settle_s), before_a, left_a)
+
+
+def _is_no_better(fit: FormFit, other: FormFit, content: Array) -> bool:
+    """Tell whether a form leaves much, and hardly less than the other one."""
+    return fit.leaves_much and likelihood_gain(fit, other, content) < TOLD_APART
 
 
 def settled_count(content: Array, settle_s: float) -> int:

@@ -30,7 +30,7 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
 from gray_box_observer.observer.effect_search import EffectSearch
 from gray_box_observer.observer.form_fit import FormFit, FormFitter, log_likelihood, settled_count
-from gray_box_observer.observer.load_search import LOOKS, LoadSearch
+from gray_box_observer.observer.load_search import LOOKS, LoadSearch, look_counts
 from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind, MotorForm
 from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.suspected_effects import USUAL
@@ -396,7 +396,7 @@ class FormTrial:
         is_held = kind.source == ROTOR and begins_held(
             form.white_box, Window.from_samples(form.white_box, form.driven(content)[:, 0])
         )
-        for count in [*(look for look in LOOKS if look < total), total]:
+        for count in look_counts(total):
             part = content[:, :, :count] if is_held else content[:, :, -count:]
             fit = yield from self._fitter.first(kind, part, form)
             fit = yield from self._search.explained(fit, part)

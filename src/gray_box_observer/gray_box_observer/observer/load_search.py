@@ -33,6 +33,16 @@ TOLD_LOAD_WORK = 512
 """Work of the search for what may stand for a load that varies, for each sample, at most."""
 
 
+def look_counts(total: int, fewest: int = 0) -> list[int]:
+    """Return how many samples the looks of a trial have, at last all of them.
+
+    Args:
+        total: how many there are.
+        fewest: how many a look has at least.
+    """
+    return [*(count for count in LOOKS if fewest <= count < total), total]
+
+
 def newest_looks(content: Array, fewest: int = 0) -> list[Array]:
     """Return ever more of the newest samples, and at last all of them.
 
@@ -40,9 +50,7 @@ def newest_looks(content: Array, fewest: int = 0) -> list[Array]:
         content: shape (signal, 1, n): the samples.
         fewest: how many they are at least.
     """
-    total = content.shape[2]
-    counts = [count for count in LOOKS if fewest <= count < total]
-    return [content[:, :, -count:] for count in counts] + [content]
+    return [content[:, :, -count:] for count in look_counts(content.shape[2], fewest)]
 
 
 class LoadSearch:
