@@ -8,7 +8,7 @@ from typing import Any
 
 from gray_box_observer.context_nodes import Verdict, VerdictSettings
 from gray_box_observer.fit_test.policy import SHORT, SHORTEST
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR
 from gray_box_observer.observer.verdict_advice import ADVICE
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS

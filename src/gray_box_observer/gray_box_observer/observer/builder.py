@@ -29,8 +29,8 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.effects import HYSTERESIS
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
-from gray_box_observer.observer.form_choice import NOTHING_ADDED, FormChoice
-from gray_box_observer.observer.motor_form import (
+from gray_box_observer.observer.motor_forms.form_choice import NOTHING_ADDED, FormChoice
+from gray_box_observer.observer.motor_forms.motor_form import (
     MEASURED,
     POSSIBLE_EFFECTS,
     ROTOR,
@@ -40,10 +40,10 @@ from gray_box_observer.observer.motor_form import (
     FormMaker,
     MotorForm,
 )
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath
 from gray_box_observer.observer.motor_observer import MotorObserver
-from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.observer.scale_doubt import scale_doubt
-from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device

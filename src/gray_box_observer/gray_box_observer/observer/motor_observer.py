@@ -22,10 +22,10 @@ from gray_box_observer.context_nodes.update_rule import learn_at_once
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.form_choice import FormChoice
 from gray_box_observer.observer.group_speeds import GroupSpeeds
 from gray_box_observer.observer.group_tests import RotorGroupTests
-from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.motor_forms.form_choice import FormChoice
+from gray_box_observer.observer.motor_forms.motor_form import MotorForm
 from gray_box_observer.observer.parameter_belief import ParameterBelief
 from gray_box_observer.observer.pending_tests import PendingTests
 from gray_box_observer.observer.speed_tracking import SpeedTracking

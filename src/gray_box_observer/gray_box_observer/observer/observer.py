@@ -30,7 +30,7 @@ from gray_box_observer.observer.builder import (
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
 from gray_box_observer.observer.mixed_signals import COMPARED, MixUp, MixUpSearch
-from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.motor_forms.motor_form import FormKind
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView

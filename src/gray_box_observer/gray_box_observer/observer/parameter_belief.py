@@ -27,7 +27,7 @@ from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.evidence import WINDOW
 from gray_box_observer.fit_test.fit_result import FitResult
 from gray_box_observer.observer.level_doubt import LevelDoubt
-from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.motor_forms.motor_form import MotorForm
 from gray_box_observer.observer.speed_doubt import SpeedDoubt
 from gray_box_observer.white_box.interface import Array
 

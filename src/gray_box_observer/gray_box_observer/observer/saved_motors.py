@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_group import Group
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.safe_io.saved_state import LARGEST, number

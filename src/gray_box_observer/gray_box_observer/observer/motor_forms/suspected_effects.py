@@ -5,7 +5,7 @@ from __future__ import annotations
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.effects import HYSTERESIS, LOAD
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
-from gray_box_observer.observer.motor_form import QUADRATIC_FRICTION
+from gray_box_observer.observer.motor_forms.motor_form import QUADRATIC_FRICTION
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
 
 NODES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE
-from gray_box_observer.observer.motor_form import ROTOR, SOURCES_OF, FormKind, FormMaker
+from gray_box_observer.observer.motor_forms.motor_form import ROTOR, SOURCES_OF, FormKind, FormMaker
 from gray_box_observer.settings.motor_configuration import (
     COASTING,
     CURRENT_LAG,

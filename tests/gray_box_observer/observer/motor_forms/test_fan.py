@@ -16,7 +16,7 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict, effects
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration

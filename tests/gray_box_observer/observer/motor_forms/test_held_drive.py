@@ -24,8 +24,8 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.delay import DelayVerdict
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer.motor_forms.trial_memory import TrialMemory
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.trial_memory import TrialMemory
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 

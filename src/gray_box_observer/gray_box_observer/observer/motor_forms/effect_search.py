@@ -12,10 +12,11 @@ from collections.abc import Iterable, Sequence
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.fit_test.coasting import seems_to_coast
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.form_fit import FormFit, FormFitter, likelihood_gain
-from gray_box_observer.observer.motor_form import ROTOR, FormKind
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.suspected_effects import suspected_beside_rotor
+from gray_box_observer.observer.motor_forms.form_fit import FormFit, FormFitter, likelihood_gain
+from gray_box_observer.observer.motor_forms.lag_search import LagSearch
+from gray_box_observer.observer.motor_forms.motor_form import ROTOR, FormKind
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.suspected_effects import suspected_beside_rotor
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, VARYING_LOAD
 from gray_box_observer.white_box.interface import Array
 
@@ -38,12 +39,16 @@ class EffectSearch:
 
     Args:
         fitter: of the forms.
+        lags: finds the lag that they need.
         open_forms: that the motor may take.
         in_force: the form that has failed: it is no result.
     """
 
-    def __init__(self, fitter: FormFitter, open_forms: OpenForms, in_force: FormKind) -> None:
+    def __init__(
+        self, fitter: FormFitter, lags: LagSearch, open_forms: OpenForms, in_force: FormKind
+    ) -> None:
         self._fitter = fitter
+        self._lags = lags
         self._open = open_forms
         self._in_force = in_force
 
@@ -65,7 +70,7 @@ class EffectSearch:
             further: effects that are tried behind those that are suspected, some together.
             follows_suspects: whether any are tried that are suspected.
         """
-        fit = yield from self._fitter.settled(fit, content)
+        fit = yield from self._lags.settled(fit, content)
         plain = fit
         newest: tuple[str, ...] = ()
         while self._needs_more(fit):
@@ -120,8 +125,7 @@ class EffectSearch:
             is_possible = len(kind.effects) <= MOST_EFFECTS and self._open.contains(kind)
             if not (is_new and is_possible):
                 continue
-            other = yield from self._fitter.at(kind, fit, content)
-            other = yield from self._fitter.settled(other, content)
+            other = yield from self._quick_fit(kind, fit, content)
             if not other.leaves_much:
                 other = yield from self._fitter.again(other.kind, other, content)
             gain = likelihood_gain(other, fit, content)
@@ -133,6 +137,17 @@ class EffectSearch:
             if gain > WORTHWHILE * count:
                 break
         return best
+
+    def _quick_fit(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a rotor with other effects, from where it stands without: a quick look.
+
+        Args:
+            kind: with these effects.
+            before: with those that it has.
+            content: shape (signal, 1, n): the samples.
+        """
+        fit = yield from self._fitter.again(kind, before, content, searches_elsewhere=False)
+        return (yield from self._lags.settled(fit, content))
 
     def _without_needless(
         self, fit: FormFit, newest: tuple[str, ...], content: Array
@@ -148,8 +163,7 @@ class EffectSearch:
             kind = fit.kind.without(effect)
             if newest == (effect,) or self._is_in_force(kind):
                 continue
-            other = yield from self._fitter.at(kind, fit, content)
-            other = yield from self._fitter.settled(other, content)
+            other = yield from self._quick_fit(kind, fit, content)
             if not other.leaves_much and likelihood_gain(fit, other, content) < TOLD_APART:
                 fit = yield from self._fitter.again(other.kind, other, content)
         return fit

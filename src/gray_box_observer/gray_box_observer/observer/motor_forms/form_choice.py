@@ -21,15 +21,10 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LATE, LOAD
 from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.still_speed import stands_still
-from gray_box_observer.observer.form_candidates import FormCandidates, is_uneasy
-from gray_box_observer.observer.form_trial import (
-    NEWEST,
-    FormTrial,
-    TrialOutcome,
-    TrialStart,
-    can_tell,
-)
-from gray_box_observer.observer.motor_form import (
+from gray_box_observer.observer.motor_forms.form_candidates import FormCandidates, is_uneasy
+from gray_box_observer.observer.motor_forms.form_comparison import TrialOutcome
+from gray_box_observer.observer.motor_forms.form_trial import FormTrial
+from gray_box_observer.observer.motor_forms.motor_form import (
     MEASURED,
     ROTOR,
     THESIS,
@@ -37,9 +32,10 @@ from gray_box_observer.observer.motor_form import (
     MotorForm,
     residual_a,
 )
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.trial_memory import TrialMemory
-from gray_box_observer.observer.voltage_path import VoltagePath
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.trial_memory import TrialMemory
+from gray_box_observer.observer.motor_forms.trial_start import NEWEST, TrialStart, can_tell
+from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LARGEST_SIGNAL,

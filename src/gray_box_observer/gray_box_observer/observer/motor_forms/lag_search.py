@@ -1,51 +1,47 @@
-"""Fits a form of the physics to remembered samples, until what its voltage depends on stays.
+"""Looks for the lag of the current that a form needs, and for the filter that it comes from.
 
-A dead zone and a lag of the current change the voltage that the white box takes. The samples are
-fit with those of the fit before, until a fit moves them no more (docs/METHOD.md, Which effects).
+A lag changes the voltage that the white box takes. The samples are fit with that of the fit before,
+until a fit moves it no more (docs/METHOD.md, Which effects).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
-from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.noise_memory import SAME_MEMORY
-from gray_box_observer.context_nodes.rotor.window import Window, delayed_voltage
+from gray_box_observer.context_nodes.rotor.window import delayed_voltage
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
 from gray_box_observer.fit_test.effects import LATE
-from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import TOLD_APART
-from gray_box_observer.observer.motor_form import (
-    ROTOR,
-    WORK_A_SAMPLE,
-    FormKind,
-    MotorForm,
+from gray_box_observer.observer.motor_forms.form_fit import (
+    FormFit,
+    FormFitter,
+    is_no_better,
+    likelihood_gain,
+    log_likelihood,
+    settled_count,
 )
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.voltage_path import SETTLED, beyond_start
+from gray_box_observer.observer.motor_forms.motor_form import ROTOR, WORK_A_SAMPLE
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.voltage_path import SETTLED
 from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE, forget_moves
-from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, DEAD_ZONE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG
 from gray_box_observer.settings.sensor_lag import (
     LARGEST_CHANGE,
     LONGEST_MEMORY,
     CurrentLag,
     FilterKind,
 )
-from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
 
-MOST_ZONES, MOST_LAGS = 4, 6
-"""Fits of a form with a dead zone, and of one with a lag, after the first."""
-
-LARGEST_ZONE = 0.5
-"""Largest dead zone, as a share of the root mean square of the command."""
+MOST_LAGS = 6
+"""Fits of a form with a lag, after the first."""
 
 LONGEST_STEP = 3.0
 """Factor by which a fit makes a lag longer or shorter at most."""
@@ -89,121 +85,35 @@ UNASKED = 0.05
 SURE_LAG = 5.0
 """Standard deviations that the first lag must be long; what it explains tells the rest."""
 
-NEAR_ZONE, NEAR_WINDING = 0.02, 0.05
-"""Share of a dead zone, and of L/R, by which the last fit moves it at most."""
+NEAR_WINDING = 0.05
+"""Share of L/R by which the last fit moves it at most."""
 
 NEAR_LAG, NEAR_STDS = 1e-3, 0.5
 """The same of a lag, and standard deviations of it that are as near."""
 
 
-SMALL = 0.03
-"""Share of the largest effect that signals allow, as which one begins that nothing is known of."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FormFit:
-    """What a form has learnt of some samples.
-
-    Attributes:
-        kind: of the form.
-        form: itself.
-        estimate: what it has learnt.
-    """
-
-    kind: FormKind
-    form: MotorForm
-    estimate: Estimate
-
-    @property
-    def settle_s(self) -> float:
-        """Time in s behind the start of a signal history that tells nothing."""
-        lag = self.kind.lag
-        return SETTLED * lag.lag_s if lag is not None and lag.settles else 0.0
-
-    @property
-    def is_misfit(self) -> bool:
-        """Whether it does not explain the samples."""
-        return self.form.fit.assessment(0).verdict is FitVerdict.MISFIT
-
-    @property
-    def leaves_much(self) -> bool:
-        """Whether it does not explain the samples, or warns of more than is believed."""
-        assessment = self.form.fit.assessment(0)
-        is_warned = assessment.verdict is FitVerdict.WARNING
-        return self.is_misfit or (is_warned and leaves_much(assessment))
-
-    @property
-    def explains(self) -> bool:
-        """Whether it was tested, and nothing is left that counts."""
-        is_tested = self.form.fit.assessment(0).verdict is not FitVerdict.UNTESTED
-        return is_tested and not self.leaves_much
-
-
-class FormFitter:
-    """Fits forms of one motor to samples.
+class LagSearch:
+    """Fits forms of one motor with a lag of the current.
 
     Args:
+        fitter: of the forms.
         open_forms: that the motor may take.
-        stamp_ns: of the newest sample.
     """
 
-    def __init__(self, open_forms: OpenForms, stamp_ns: int) -> None:
+    def __init__(self, fitter: FormFitter, open_forms: OpenForms) -> None:
+        self._fitter = fitter
         self._open = open_forms
-        self._stamp_ns = stamp_ns
-
-    def first(
-        self, kind: FormKind, content: Array, before: MotorForm | None = None
-    ) -> Pieces[FormFit]:
-        """Fit a form to samples.
-
-        In the short histories of a driver that coasts the recursive rule is led astray by a noisy
-        speed.
-
-        Args:
-            kind: of the form.
-            content: shape (signal, 1, n): the samples.
-            before: the form that has learnt fewer of them, where it can go on; None: none has.
-        """
-        form = self._open.make(kind) if before is None or not before.can_go_on else before
-        asks_speed = COASTING in kind.effects
-        estimate = yield from form.learn_remembered(content, self._stamp_ns, asks_speed=asks_speed)
-        return FormFit(kind, form, estimate)
-
-    def again(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit nearly the same form to the same samples.
-
-        Args:
-            kind: of the form.
-            before: what it was.
-            content: the samples.
-        """
-        form = self._open.make(kind)
-        start = before.estimate.value
-        estimate = yield from form.learn_remembered(content, self._stamp_ns, start=start)
-        return FormFit(kind, form, estimate)
-
-    def at(self, kind: FormKind, before: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a rotor with other effects, from where it stands alone: a quick look.
-
-        Args:
-            kind: with these effects.
-            before: with those that it has.
-            content: the samples.
-        """
-        form = self._open.make(kind)
-        start = _start_with(form, before.estimate, content)
-        estimate = yield from form.learn_remembered(
-            content, self._stamp_ns, start=start, searches_elsewhere=False
-        )
-        return FormFit(kind, form, estimate)
 
     def settled(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Fit a form again, until its dead zone and its lag stay; other forms stay as they are.
 
         Where what it leaves looks like a lag first of all, it gets one.
+
+        Args:
+            fit: of the form.
+            content: shape (signal, 1, n): the samples.
         """
-        if DEAD_ZONE in fit.kind.effects:
-            fit = yield from self._with_settled_zone(fit, content)
+        fit = yield from self._fitter.with_settled_zone(fit, content)
         plain = fit
         if self._is_late(fit):
             fit = replace(fit, kind=fit.kind.with_effect(CURRENT_LAG))
@@ -215,32 +125,6 @@ class FormFitter:
             return plain
         return late
 
-    def _with_known_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a form again until its lag, and the filter that it comes from, stay."""
-        fit = yield from self._with_settled_lag(fit, content)
-        fit = yield from self._with_likelier_filter(fit, content)
-        lag = fit.kind.lag
-        if lag is not None and fit.is_misfit and not lag.is_mean:  # it began with the shorter lag
-            other = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
-            other = yield from self._with_settled_lag(other, content)
-            return fit if other.is_misfit else other
-        return fit
-
-    def _with_settled_zone(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
-        """Fit a form with a dead zone again, until the commands that it swallows stay."""
-        for _ in range(MOST_ZONES):
-            kind = fit.kind
-            dead_zone_v = _dead_zone(fit.estimate, content)
-            if abs(dead_zone_v - kind.dead_zone_v) <= NEAR_ZONE * dead_zone_v:
-                break
-            kind = replace(kind, dead_zone_v=dead_zone_v)
-            method = self.at if kind.source == ROTOR else self.again
-            other = yield from method(kind, fit, content)
-            if _is_no_better(other, fit, content):
-                break  # it is not a dead zone that is left
-            fit = other
-        return fit
-
     def _is_late(self, fit: FormFit) -> bool:
         """Tell whether what a form leaves looks like a lag of the current, first of all."""
         assessment = fit.form.fit.assessment(0)
@@ -251,6 +135,17 @@ class FormFitter:
             is_likeliest = assessment.verdict is FitVerdict.WARNING
         is_new = CURRENT_LAG not in kind.effects
         return is_likeliest and is_new and self._open.contains(kind.with_effect(CURRENT_LAG))
+
+    def _with_known_lag(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
+        """Fit a form again until its lag, and the filter that it comes from, stay."""
+        fit = yield from self._with_settled_lag(fit, content)
+        fit = yield from self._with_likelier_filter(fit, content)
+        lag = fit.kind.lag
+        if lag is not None and fit.is_misfit and not lag.is_mean:  # it began with the shorter lag
+            other = yield from self._fitter.again(replace(fit.kind, lag=lag.turned), fit, content)
+            other = yield from self._with_settled_lag(other, content)
+            return fit if other.is_misfit else other
+        return fit
 
     def _with_settled_lag(
         self, fit: FormFit, content: Array, fits: list[FormFit] | None = None
@@ -299,9 +194,9 @@ class FormFitter:
                     lag = before._replace(winding_s=winding_s)
                     fit = replace(fit, kind=replace(fit.kind, lag=lag))
                 break
-            other = yield from self.again(replace(fit.kind, lag=lag), fit, content)
+            other = yield from self._fitter.again(replace(fit.kind, lag=lag), fit, content)
             is_first = before is None and fit.kind.source == ROTOR
-            if is_first and _is_no_better(other, fit, content):  # it is no lag
+            if is_first and is_no_better(other, fit, content):  # it is no lag
                 break
             fit = other
         return fit
@@ -367,7 +262,7 @@ class FormFitter:
         other_a = math.inf
         for share in DELAYS:
             late_content = _delayed(content, share * lag.lag_s)
-            other = yield from self.first(plain, late_content)
+            other = yield from self._fitter.first(plain, late_content)
             other_a = min(other_a, other.form.residual(late_content, fit.settle_s))
         left_a = fit.form.residual(content, fit.settle_s)
         count = settled_count(content, fit.settle_s)
@@ -393,7 +288,7 @@ class FormFitter:
         lag = fit.kind.lag
         if lag is None or lag.is_mean:
             return fit
-        start = yield from self.again(replace(fit.kind, lag=lag.turned), fit, content)
+        start = yield from self._fitter.again(replace(fit.kind, lag=lag.turned), fit, content)
         other = yield from self._with_settled_lag(start, content)
         if _has_turned_back(other.kind.lag, lag):
             other = start
@@ -410,7 +305,7 @@ class FormFitter:
         exchange = float(np.clip(lag.lag_s / lag.winding_s - 1.0, -1.0, LARGEST_CHANGE))
         shift[place] = max(shift[place], exchange, key=abs)
         lag = lag._replace(other_order=tuple(shift))
-        return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+        return (yield from self._fitter.again(replace(fit.kind, lag=lag), fit, content))
 
     def _of_sure_kind(self, fit: FormFit, content: Array) -> Pieces[FormFit]:
         """Ask whether the filter of a rotor's current may be of another kind.
@@ -450,7 +345,7 @@ class FormFitter:
         own_lag = fit.kind.lag
         assert own_lag is not None
         lag = own_lag._replace(other_order=lag.other_order, other_kind=tuple(changes))
-        return (yield from self.again(replace(fit.kind, lag=lag), fit, content))
+        return (yield from self._fitter.again(replace(fit.kind, lag=lag), fit, content))
 
     def _correlation(self, fit: FormFit, content: Array) -> Pieces[float]:
         """Return the correlation of the residual of a rotor behind a filter; 0 by chance."""
@@ -482,32 +377,10 @@ class FormFitter:
         was_average = lag.is_average and filter_kind is FilterKind.FIRST_ORDER
         memory = min(math.exp(-usual_s / lag_s), LONGEST_MEMORY) if was_average else 0.0
         start = CurrentLag(lag_s, lag.winding_s, (), memory, filter_kind)
-        other = yield from self.again(replace(fit.kind, lag=start), fit, content)
+        other = yield from self._fitter.again(replace(fit.kind, lag=start), fit, content)
         other = yield from self._with_settled_lag(other, content, fits)
         yield WORK_A_SAMPLE * content.shape[2]
         return other
-
-
-def _start_with(form: MotorForm, before: Estimate, content: Array) -> Array:
-    """Return where a rotor with other effects begins, shape (1, parameter).
-
-    Args:
-        form: of it.
-        before: what is known with those that it has.
-        content: the samples.
-    """
-    white_box = form.white_box
-    start = np.array(form.context_nodes.theta[0])
-    values = dict(zip((one.name for one in before.parameters), before.value[0], strict=True))
-    for place, name in enumerate(white_box.context_nodes):
-        start[place] = values.get(name, start[place])
-    window = Window.from_samples(white_box, form.driven(content)[:, 0])
-    shares = shares_of_scale(white_box, start, window)
-    for place, name in enumerate(white_box.context_nodes):
-        is_new = name not in values and not TERMS[name].has_either_sign
-        if is_new and 0.0 < shares[place] < math.inf:
-            start[place] *= SMALL / shares[place]
-    return start[None]
 
 
 def _delayed(content: Array, delay_s: float) -> Array:
@@ -524,13 +397,6 @@ def _delayed(content: Array, delay_s: float) -> Array:
     result[VOLTAGE, 0, is_whole] = late_v[is_whole]
     forget_moves(result)
     return result
-
-
-def _dead_zone(estimate: Estimate, content: Array) -> float:
-    """Return the dead zone in V that was found, within bounds."""
-    place = [parameter.name for parameter in estimate.parameters].index(DEAD_ZONE)
-    largest_v = LARGEST_ZONE * float(np.sqrt(np.mean(content[VOLTAGE] ** 2)))
-    return min(float(estimate.value[0, place]), largest_v)
 
 
 def _may_be_mean(lag: CurrentLag, content: Array) -> bool:
@@ -560,45 +426,6 @@ def _evidence(fit: FormFit, other: FormFit, content: Array) -> float:
     if settled_count(content, settle_s) < FEWEST or has_gaps:
         return 0.0
     return likelihood_gain(fit, other, content)
-
-
-def likelihood_gain(fit: FormFit, other: FormFit, content: Array) -> float:
-    """Return the log-likelihood by which one form is the better one, by what has settled in both.
-
-    Args:
-        fit: of the one.
-        other: of the other one.
-        content: shape (signal, 1, n): the samples.
-    """
-    settle_s = max(fit.settle_s, other.settle_s)
-    left_a = fit.form.residual(content, settle_s)
-    before_a = other.form.residual(content, settle_s)
-    return log_likelihood(settled_count(content, settle_s), before_a, left_a)
-
-
-def _is_no_better(fit: FormFit, other: FormFit, content: Array) -> bool:
-    """Tell whether a form leaves much, and hardly less than the other one."""
-    return fit.leaves_much and likelihood_gain(fit, other, content) < TOLD_APART
-
-
-def settled_count(content: Array, settle_s: float) -> int:
-    """Return how many samples have settled; see :func:`beyond_start`."""
-    return int(beyond_start(content, content, settle_s).shape[2])
-
-
-def log_likelihood(count: int, before_a: float, left_a: float) -> float:
-    """Return the log-likelihood that a smaller residual brings; 0 where one is no number.
-
-    Args:
-        count: samples that it rests on.
-        before_a: root mean square of the one residual.
-        left_a: of the other.
-    """
-    ratio = max(before_a, 1e-300) / max(left_a, 1e-300)
-    if ratio == 0.0:  # nothing has settled: the smaller residual is without end
-        return -math.inf
-    gain = count * math.log(ratio)
-    return 0.0 if math.isnan(gain) else float(gain)
 
 
 def _has_turned_back(lag: CurrentLag | None, before: CurrentLag) -> bool:

@@ -16,9 +16,9 @@ from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.coasting import seems_to_coast
+from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples.replay_buffer import is_lone, without_lone
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox

@@ -17,12 +17,13 @@ from gray_box_observer.context_nodes.pieces import WorkBudget
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.identify.result_text import _lines as text_lines
 from gray_box_observer.observer.builder import motor_observer
-from gray_box_observer.observer.form_trial import FormTrial, TrialStart
-from gray_box_observer.observer.motor_form import POSSIBLE_EFFECTS, FormKind
+from gray_box_observer.observer.motor_forms.form_trial import FormTrial
+from gray_box_observer.observer.motor_forms.motor_form import POSSIBLE_EFFECTS, FormKind
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.trial_start import TrialStart
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.settings.configuration import Configuration
 
 FORWARD = 'R[8,10]D[0.02,0.2]'

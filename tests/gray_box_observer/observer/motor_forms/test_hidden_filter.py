@@ -17,9 +17,9 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.current_lag import lag_step
+from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.voltage_path import VoltagePath
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.settings.configuration import Configuration

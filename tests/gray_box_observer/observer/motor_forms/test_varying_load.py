@@ -23,16 +23,18 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.observer.form_trial import NEWEST, FormTrial, TrialOutcome, TrialStart
-from gray_box_observer.observer.motor_form import (
+from gray_box_observer.observer.motor_forms.form_comparison import TrialOutcome
+from gray_box_observer.observer.motor_forms.form_trial import FormTrial
+from gray_box_observer.observer.motor_forms.motor_form import (
     POSSIBLE_EFFECTS,
     ROTOR,
     THESIS,
     VARYING_LOAD,
     FormKind,
 )
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.trial_start import NEWEST, TrialStart
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.open_forms import OpenForms
 from gray_box_observer.settings.configuration import Configuration
 
 SAMPLES = 12000

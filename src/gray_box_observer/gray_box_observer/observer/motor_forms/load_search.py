@@ -8,11 +8,11 @@ A loss of voltage may stand beside it (docs/METHOD.md, A load that varies).
 from __future__ import annotations
 
 from gray_box_observer.context_nodes.pieces import Pieces, bounded
-from gray_box_observer.observer.effect_search import EVIDENCE, EffectSearch
-from gray_box_observer.observer.form_fit import FormFit, FormFitter, likelihood_gain
-from gray_box_observer.observer.motor_form import ROTOR, FormKind
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.suspected_effects import BESIDE_A_LOAD, ON_THE_SHAFT
+from gray_box_observer.observer.motor_forms.effect_search import EVIDENCE, EffectSearch
+from gray_box_observer.observer.motor_forms.form_fit import FormFit, FormFitter, likelihood_gain
+from gray_box_observer.observer.motor_forms.motor_form import ROTOR, FormKind
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.suspected_effects import BESIDE_A_LOAD, ON_THE_SHAFT
 from gray_box_observer.settings.motor_configuration import VARYING_LOAD
 from gray_box_observer.white_box.interface import Array
 
@@ -155,7 +155,7 @@ class LoadSearch:
         """
         kind = fit.kind.without(VARYING_LOAD)
         for part in newest_looks(self._content, fewest):
-            other = yield from self._fitter.at(kind, fit, part)
+            other = yield from self._fitter.again(kind, fit, part, searches_elsewhere=False)
             other = yield from self._effects.explained(
                 other, part, ON_THE_SHAFT, follows_suspects=False
             )

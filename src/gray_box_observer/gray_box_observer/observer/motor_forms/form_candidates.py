@@ -12,11 +12,11 @@ from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import COLOURED_NOISE
 from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import TWINS
-from gray_box_observer.observer.form_trial import FEW_CANDIDATES
-from gray_box_observer.observer.load_search import SHAFT_EFFECTS
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, FormKind
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.suspected_effects import NODES
+from gray_box_observer.observer.motor_forms.load_search import SHAFT_EFFECTS
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, FormKind
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.suspected_effects import NODES
+from gray_box_observer.observer.motor_forms.trial_start import FEW_CANDIDATES
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, VARYING_LOAD
 
 

@@ -15,7 +15,7 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.observer.builder import initial_estimate
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration

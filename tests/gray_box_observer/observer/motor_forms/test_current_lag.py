@@ -16,12 +16,12 @@ from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test.current_lag import lag_shifts
 from gray_box_observer.observer.builder import motor_observer
-from gray_box_observer.observer.form_fit import log_likelihood
-from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.motor_forms.form_fit import log_likelihood
+from gray_box_observer.observer.motor_forms.motor_form import FormKind
+from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.voltage_path import SETTLED, VoltagePath, beyond_start
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.observer.open_forms import OpenForms
-from gray_box_observer.observer.voltage_path import SETTLED, VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, VOLTAGE
 from gray_box_observer.settings.configuration import Configuration

@@ -13,7 +13,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
-from gray_box_observer.observer.motor_form import MEASURED, ROTOR, THESIS, FormKind
+from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, THESIS, FormKind
 from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration

@@ -13,7 +13,7 @@ from rotor_records import CONSTANTS, GEAR_MOTOR, LIVELY, recorded
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.fit_test.still_speed import stands_still
-from gray_box_observer.observer.motor_form import FormKind
+from gray_box_observer.observer.motor_forms.motor_form import FormKind
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox

@@ -25,8 +25,8 @@ from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.motor_under_test import knows_voltage_noise
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.fit_test.twin_effects import LOAD_TORQUE, LOST_VOLTAGE, OFFSET
+from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.observer.voltage_path import VoltagePath, beyond_start
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import (

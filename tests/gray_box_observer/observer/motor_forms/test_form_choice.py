@@ -16,8 +16,8 @@ from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.observer.form_choice import FEWEST, TrialPace
-from gray_box_observer.observer.form_trial import CATCH_UP
+from gray_box_observer.observer.motor_forms.form_choice import FEWEST, TrialPace
+from gray_box_observer.observer.motor_forms.form_trial import CATCH_UP
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
