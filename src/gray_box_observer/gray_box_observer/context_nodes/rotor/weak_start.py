@@ -2,9 +2,9 @@
 
 With the back-EMF eliminated the motor is ``L i'' + (R + L b) i' + (R b + a) i = V' + b V + c
 sign(e)``, ``a = Kb Kt / J``, ``b = B / J``, ``c = Kb T_c / J`` (docs/METHOD.md, The whole motor). A
-load adds ``d = Kb T_load / J`` on the right.
-Multiplied by a triangle and integrated by parts, no noisy signal is differentiated: left are
-second differences of a signal's integrals at the triangle's corners.
+load adds ``d = Kb T_load / J`` on the right. Brushes take ``V_b sign(i)`` off the voltage, and this
+sign is measured. Multiplied by a triangle and integrated by parts, no noisy signal is
+differentiated: left are second differences of a signal's integrals at the triangle's corners.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.window import History, Window
 from gray_box_observer.samples.order_statistics import quantile
 from gray_box_observer.white_box.interface import Array, bounds
@@ -36,8 +37,16 @@ SPANS = 16
 FEW_WIDTHS = (2, 8, 25)
 """The widths that are tried beside one: there a start costs more."""
 
+BRUSHES = 'brush_drop'
+
+SURE_SIGN = 3.0
+"""Standard deviations of its noise from which a current has a sign."""
+
 RIGHT = 5
 """Column of a row's right-hand side."""
+
+DROP = 6
+"""Column of what brushes drop; those of the load stand behind it."""
 
 SLOWEST = 0.02
 """Least b, as a share of a / R: friction that is not seen is taken for little."""
@@ -53,24 +62,25 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
     spans = SPANS if white_box.load_varies else int(LOAD in white_box.context_nodes)
     with np.errstate(all='ignore'):
         for width in FEW_WIDTHS if white_box.load_varies else WIDTHS:
-            solution = _solved(window, width, spans)
+            solution = _solved(white_box, window, width, spans)
             if solution is not None and np.isfinite(solution).all():
                 yield _nodes(white_box, solution, window)
 
 
-def _solved(window: Window, width: int, spans: int) -> Array | None:
-    """Return (L, R, a, b, c, d); None where the samples are too few or tell nothing.
+def _solved(white_box: MotorWhiteBox, window: Window, width: int, spans: int) -> Array | None:
+    """Return (L, R, a, b, c, d, V_b); None where the samples are too few or tell nothing.
 
     Args:
+        white_box: of one motor with a rotor.
         window: the samples.
         width: half width of the triangle, in samples.
         spans: of the load; see :func:`_loads`.
     """
-    resistance = None
     solution = None
+    has_brushes = BRUSHES in white_box.context_nodes or white_box.known.get(BRUSHES, 0.0) > 0.0
     for _ in range(2):  # the sign of the back-EMF needs a resistance
         rows = [
-            _rows(history, width, resistance, spans)
+            _rows(history, width, solution, spans, has_brushes=has_brushes)
             for history in window.histories
             if history.current_a.size > 2 * width + 1
         ]
@@ -79,18 +89,20 @@ def _solved(window: Window, width: int, spans: int) -> Array | None:
         solution = _positive(np.concatenate(rows))
         if solution is None:
             return None
-        resistance = float(solution[1])
     return solution
 
 
-def _rows(history: History, width: int, resistance: float | None, spans: int) -> Array:
-    """One row a triangle: what multiplies L, R + L b, R b + a, -b and -c, the right, then each -d.
+def _rows(
+    history: History, width: int, solution: Array | None, spans: int, *, has_brushes: bool
+) -> Array:
+    """One row a triangle: what multiplies L, R + L b, R b + a, -b, -c, the right, V_b, each -d.
 
     Args:
         history: the samples.
         width: half width of the triangle, in samples.
-        resistance: tells the sign of the back-EMF; None: it is not known.
+        solution: tells the sign of the back-EMF; None: it is not known.
         spans: of the load; see :func:`_loads`.
+        has_brushes: whether any drop a voltage.
     """
     time_s = np.concatenate([[0.0], np.cumsum(history.interval_s)])
     current = history.current_a
@@ -99,9 +111,16 @@ def _rows(history: History, width: int, resistance: float | None, spans: int) ->
     twice = _twice(current, once, history)
     volt_once = _integral(volt, history)
     volt_twice = _double_integral(volt, history)
+    middle_current = 0.5 * (current[1:] + current[:-1])
     sign = np.zeros_like(volt)
-    if resistance is not None:
-        sign = np.sign(volt - resistance * 0.5 * (current[1:] + current[:-1]))
+    drop = np.zeros_like(volt)
+    damping = 0.0
+    if has_brushes:
+        noise = SURE_SIGN * difference_noise(current)
+        drop = np.clip(middle_current / max(noise, 1e-12), -1.0, 1.0)
+    if solution is not None:
+        resistance, _, damping, _, _, drop_v = solution[1:].tolist()
+        sign = np.sign(volt - resistance * middle_current - drop_v * drop)
     sign_twice = _double_integral(sign, history)
     left = time_s[width:-width] - time_s[: -2 * width]
     right = time_s[2 * width :] - time_s[width:-width]
@@ -115,7 +134,8 @@ def _rows(history: History, width: int, resistance: float | None, spans: int) ->
         return result
 
     loads = [-_double_integral(load, history) for load in _loads(volt.size, spans)]
-    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once, *loads)
+    drop_once = _integral(drop, history) + damping * _double_integral(drop, history)
+    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once, drop_once, *loads)
     return np.stack([corners(signal) for signal in signals], axis=1)
 
 
@@ -151,14 +171,16 @@ def _twice(current: Array, once: Array, history: History) -> Array:
 
 
 def _positive(rows: Array) -> Array | None:
-    """Solve for (L, R, a, b, c, d), without friction where it comes out negative.
+    """Solve for (L, R, a, b, c, d, V_b), without friction or brushes where these are negative.
 
     Of a load that varies ``d`` is the mean.
     """
     right = rows[:, RIGHT]
-    loads = range(RIGHT + 1, rows.shape[1])
-    for friction in ((3, 4), (4,), (3,), ()):
-        columns = (0, 1, 2, *friction, *loads)
+    loads = range(DROP + 1, rows.shape[1])
+    for parts in ((3, 4, DROP), (4, DROP), (3, DROP), (DROP,), (3, 4), (4,), (3,), ()):
+        if DROP in parts and not rows[:, DROP].any():
+            continue
+        columns = (0, 1, 2, *parts, *loads)
         selection = rows[:, columns]
         size = np.linalg.norm(selection, axis=0)
         is_present = size > 0.0
@@ -166,24 +188,24 @@ def _positive(rows: Array) -> Array | None:
         columns_of_unit_size = selection[:, is_present] / size[is_present]
         solution = np.linalg.lstsq(columns_of_unit_size, right, rcond=1e-9)[0]
         answer[np.array(columns)[is_present]] = solution / size[is_present]
-        inductance, slope, level, viscous, dry = answer[:RIGHT].tolist()
-        load = float(answer[RIGHT + 1 :].mean()) if loads else 0.0
+        inductance, slope, level, viscous, dry, _, drop = answer[: DROP + 1].tolist()
+        load = float(answer[DROP + 1 :].mean()) if loads else 0.0
         if level <= 0.0 or slope <= 0.0:
             continue
-        if viscous < 0.0 or dry < 0.0:
+        if viscous < 0.0 or dry < 0.0 or drop < 0.0:
             continue
         inductance = max(inductance, LEAST_SHARE * slope * 1e-3)
         resistance = slope - inductance * viscous
         resistance = max(resistance, LEAST_SHARE * slope)
         coupling = max(level - resistance * viscous, LEAST_SHARE * level)
         viscous = max(viscous, SLOWEST * coupling / resistance)
-        return np.array([inductance, resistance, coupling, viscous, dry, load])
+        return np.array([inductance, resistance, coupling, viscous, dry, load, drop])
     return None
 
 
 def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
-    """Turn (L, R, a, b, c, d) into context nodes within bounds; others begin as good as zero."""
-    inductance, resistance, coupling, viscous, dry, load = solution.tolist()
+    """Turn (L, R, a, b, c, d, V_b) into context nodes within bounds; others begin near zero."""
+    inductance, resistance, coupling, viscous, dry, load, drop = solution.tolist()
     back_emf = float(white_box.known['back_emf_constant'])
     torque_constant = float(white_box.torque_constant)
     inertia = back_emf * torque_constant / coupling
@@ -197,6 +219,7 @@ def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
         'viscous_friction': max(viscous * inertia, slowest),
         'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
         'quadratic_friction': LEAST_FRICTION * torque * slowness**2,
+        BRUSHES: drop,
         LOAD: float(np.clip(load * inertia / back_emf, -torque, torque)),
     }
     nothing = np.where(white_box.known_parts, 0.0, [p.lower for p in white_box.parameters])
