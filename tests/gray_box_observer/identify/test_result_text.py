@@ -105,14 +105,18 @@ def steps_of(
     fit: FitVerdict = FitVerdict.OK,
     *,
     stamps_exact: bool = False,
+    effects: Sequence[str] = (),
 ) -> list[str]:
     """Return the next steps of a motor with L/R of 0.5 ms, sampled each 10 ms."""
     values = {'inductance': (1e-3, 'H'), 'resistance': (2.0, 'ohm'), 'hysteresis': (1.0, 'ohm')}
+    if effects:
+        values['inertia'] = (1e-4, 'kg m2')
     parameters = {
         name: {**entry(value, 0.1, unit), 'verdict': verdict}
         for name, (value, unit) in values.items()
     }
-    lines = text_of(fit, stamps_exact=stamps_exact, parameters=parameters, derived={})
+    added = {'effects': effects, 'effects_reason': 'they showed'}
+    lines = text_of(fit, stamps_exact=stamps_exact, parameters=parameters, derived={}, **added)
     return [line.split(maxsplit=2)[2] for line in lines if line.startswith('  next step')]
 
 
@@ -127,6 +131,14 @@ def test_what_can_be_done_about_each_verdict_is_said() -> None:
     assert rest.startswith('resistance, hysteresis: the recording tells nothing of it')
     assert steps_of('converging')[1].startswith('resistance, hysteresis: not known to 2 % yet')
     assert steps_of('implausible')[0].startswith('inductance, resistance, hysteresis: check')
+
+
+def test_beside_a_load_that_varies_no_voltage_is_asked_for_to_tell_the_rotor() -> None:
+    short, rest, of_rotor = steps_of(effects=['varying_load'])
+    assert short.endswith(': sample faster')
+    assert rest.startswith('resistance, hysteresis: the recording tells nothing of it')
+    assert of_rotor.startswith('inertia: a load that varies hides it')
+    assert of_rotor.endswith('publish the speed')
 
 
 @pytest.mark.parametrize(('source', 'step'), [('rotor', True), ('torque_constant', False)])

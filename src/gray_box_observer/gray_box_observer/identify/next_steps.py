@@ -9,8 +9,8 @@ from typing import Any
 from gray_box_observer.context_nodes import Verdict, VerdictSettings
 from gray_box_observer.fit_test.policy import SHORT, SHORTEST
 from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR
-from gray_box_observer.observer.verdict_advice import ADVICE
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG
+from gray_box_observer.observer.verdict_advice import ADVICE, LOAD_ADVICE, acts_on_shaft
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, VARYING_LOAD
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 
 REMEDIES = {
@@ -75,17 +75,26 @@ def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = Fals
         if step is not None:
             steps.append(step)
             del verdicts['inductance']
+    is_loaded = VARYING_LOAD in motor.get('effects', ())
     remedies = {
-        parameter: UNSETTLED
-        if own == Verdict.CONVERGING.value and _is_sharp(motor['parameters'][parameter])
-        else REMEDIES.get(Verdict(own))
-        for parameter, own in verdicts.items()
+        parameter: _remedy(parameter, motor['parameters'][parameter], is_loaded=is_loaded)
+        for parameter in verdicts
     }
-    for remedy in (*REMEDIES.values(), UNSETTLED):
+    for remedy in (*REMEDIES.values(), UNSETTLED, LOAD_ADVICE):
         names = [parameter for parameter, own in remedies.items() if own == remedy]
         if names:
             steps.append(f'{", ".join(names)}: {remedy}')
     return steps
+
+
+def _remedy(parameter: str, entry: Mapping[str, Any], *, is_loaded: bool) -> str | None:
+    """Say what to do about one parameter; None where nothing is asked for."""
+    verdict = Verdict(entry['verdict'])
+    if is_loaded and entry['verdict'] in OPEN and acts_on_shaft(parameter):
+        return LOAD_ADVICE
+    if verdict is Verdict.CONVERGING and _is_sharp(entry):
+        return UNSETTLED
+    return REMEDIES.get(verdict)
 
 
 def _is_sharp(entry: Mapping[str, Any]) -> bool:
@@ -108,7 +117,7 @@ def _of_short_time_constant(
     if not time_constant_s < max(limits) * interval_s:
         return None
     remedy = 'sample faster'
-    if not stamps_exact:
+    if not (stamps_exact or VARYING_LOAD in motor.get('effects', ())):
         others = [
             parameter
             for parameter, entry in motor['parameters'].items()
