@@ -35,6 +35,7 @@ from gray_box_observer.observer.motor_forms.motor_form import (
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
 from gray_box_observer.observer.motor_forms.trial_start import NEWEST, TrialStart
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.verdict_advice import LOAD_ADVICE, verdict_advice
 from gray_box_observer.settings.configuration import Configuration
 
 SAMPLES = 12000
@@ -82,6 +83,15 @@ def test_of_its_rotor_nothing_is_identified() -> None:
         value, std, verdict = told(motor, name)
         assert verdict not in (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
         assert abs(value - getattr(MOTOR, name)) < 3.0 * std
+
+
+@pytest.mark.slow
+def test_no_voltage_is_asked_for_to_tell_its_rotor() -> None:
+    advice = verdict_advice(observer_of_arm().motors['motor'])
+    assert advice is not None
+    assert advice.endswith(LOAD_ADVICE)
+    assert 'inertia' in advice
+    assert 'inductance' not in advice
 
 
 def outcome_of_trial(plant: PlantParameters, samples: int) -> TrialOutcome:

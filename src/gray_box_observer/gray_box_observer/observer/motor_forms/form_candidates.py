@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
-from gray_box_observer.fit_test.effects import COLOURED_NOISE
+from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LOAD
 from gray_box_observer.fit_test.speed_basis import leaves_much
 from gray_box_observer.fit_test.twin_effects import TWINS
 from gray_box_observer.observer.motor_forms.load_search import SHAFT_EFFECTS
@@ -18,6 +18,12 @@ from gray_box_observer.observer.motor_forms.open_forms import OpenForms
 from gray_box_observer.observer.motor_forms.suspected_effects import NODES
 from gray_box_observer.observer.motor_forms.trial_start import FEW_CANDIDATES
 from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, VARYING_LOAD
+
+MUCH = 5.0
+"""Residual over the noise from which a load may be left out first of all: arms leave 7 and more."""
+
+EVIDENCE = 50.0
+"""Log-likelihood that a suspect brings where a rotor lacks nothing else."""
 
 
 def is_uneasy(kind: FormKind, fit: FitAssessment) -> bool:
@@ -70,9 +76,12 @@ class FormCandidates:
         different = [*dict.fromkeys(kind for kind in kinds if self._is_open(kind))]
         rotors = [] if plain is None else self._with_rotor(plain, fit)
         others = [kind for kind in rotors if kind not in different and self._is_open(kind)]
-        usual_kinds = (*different, *others)[:FEW_CANDIDATES]
-        last = [kind for kind in self._with_varying_load(plain) if self._is_open(kind)]
-        return (*usual_kinds, *last)
+        usual_kinds = [*different, *others][:FEW_CANDIDATES]
+        loads = [kind for kind in self._with_varying_load(plain) if self._is_open(kind)]
+        place = len(usual_kinds)
+        if self._may_be_loaded(fit) and self.kind in usual_kinds:
+            place = usual_kinds.index(self.kind) + 1
+        return (*usual_kinds[:place], *loads, *usual_kinds[place:])
 
     def _is_open(self, kind: FormKind) -> bool:
         return self.open_forms.contains(kind)
@@ -100,7 +109,8 @@ class FormCandidates:
             kinds.append(kind.without(*twins).with_effect(node))
         if VARYING_LOAD not in kind.effects and kind.lag is None:
             kinds.append(kind)
-        kinds += kind.rivals
+        if VARYING_LOAD not in kind.effects:
+            kinds += kind.rivals
         if kind.effects:
             kinds.append(FormKind(ROTOR))
         if is_vague:  # a filter colours what is left over
@@ -125,6 +135,19 @@ class FormCandidates:
             elif suspect.effect == ROTOR and plain is not None:
                 kinds += self._with_rotor(plain, fit)
         return kinds
+
+    def _may_be_loaded(self, fit: FitAssessment) -> bool:
+        """Tell whether what a rotor leaves looks like a load first of all, or like nothing known.
+
+        Args:
+            fit: what is known of that of the form in force.
+        """
+        if self.kind.source != ROTOR or VARYING_LOAD in self.kind.effects or fit.ratio < MUCH:
+            return False
+        likeliest = fit.suspects[0] if fit.suspects else None
+        if likeliest is None or likeliest.evidence < EVIDENCE:
+            return True
+        return likeliest.effect in (LOAD, CHANGE)
 
     def _with_varying_load(self, plain: FormKind | None) -> list[FormKind]:
         """Return a rotor with a load that varies, instead of other effects on the shaft.

@@ -20,10 +20,6 @@ from gray_box_observer.observer.motor_forms.trial_start import TrialStart
 from gray_box_observer.settings.motor_configuration import CURRENT_LAG, DEAD_ZONE, VARYING_LOAD
 from gray_box_observer.settings.sensor_lag import CurrentLag, FilterKind
 
-LARGEST_STD = 0.25
-"""Relative standard deviation of resistance and inertia up to which they are told. Samples that
-come more slowly than L/R say nothing of the inductance, and a rotor shows all the same."""
-
 EVIDENCE = 50.0
 """Log-likelihood that the other form must bring. Drawn rotors bring 180 and more, and a rotor
 brings nothing where there is none."""
@@ -39,7 +35,7 @@ DOES_NOT = 'does not either'
 """Why a form is not adopted that does not explain the samples."""
 
 _RESISTANCE = 'resistance'
-_DECISIVE = (_RESISTANCE, 'inertia')
+_DECISIVE: tuple[str, ...] = (_RESISTANCE, 'inertia')
 
 _KIND_IN_WORDS = {
     FilterKind.FIRST_ORDER: '',
@@ -219,15 +215,10 @@ def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:
 
 def _is_told(fit: FormFit) -> bool:
     """Tell whether the data tell what a form stands on: beside a load that varies R alone."""
-    estimate = fit.estimate
-    decisive: tuple[str, ...] = _DECISIVE
-    if VARYING_LOAD in fit.kind.effects and fit.form.white_box.context_nodes.count(_RESISTANCE):
+    decisive = _DECISIVE
+    if VARYING_LOAD in fit.kind.effects and _RESISTANCE in fit.form.white_box.context_nodes:
         decisive = (_RESISTANCE,)
-    return all(
-        estimate.std[0, j] < LARGEST_STD * estimate.value[0, j]
-        for j, parameter in enumerate(estimate.parameters)
-        if parameter.name in decisive
-    )
+    return all(map(fit.tells, decisive))
 
 
 def _on_lag(lag: CurrentLag | None) -> str:

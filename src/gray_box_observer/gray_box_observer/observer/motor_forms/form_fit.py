@@ -35,6 +35,10 @@ LARGEST_ZONE = 0.5
 NEAR_ZONE = 0.02
 """Share of a dead zone by which the last fit moves it at most."""
 
+LARGEST_STD = 0.25
+"""Relative standard deviation of a parameter up to which it is told. Samples that come more slowly
+than L/R say nothing of the inductance, and a rotor shows all the same."""
+
 SMALL = 0.03
 """Share of the largest effect that signals allow, as which one begins that nothing is known of."""
 
@@ -70,6 +74,15 @@ class FormFit:
         assessment = self.form.fit.assessment(0)
         is_warned = assessment.verdict is FitVerdict.WARNING
         return self.is_misfit or (is_warned and leaves_much(assessment))
+
+    def tells(self, name: str) -> bool:
+        """Tell whether the samples tell a parameter; one that the form does not have is known."""
+        estimate = self.estimate
+        return all(
+            estimate.std[0, place] < LARGEST_STD * estimate.value[0, place]
+            for place, parameter in enumerate(estimate.parameters)
+            if parameter.name == name
+        )
 
     @property
     def explains(self) -> bool:

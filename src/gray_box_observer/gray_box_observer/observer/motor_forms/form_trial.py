@@ -7,7 +7,7 @@ to the same end.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ SHORT_S = 1.0
 LONG_S = 2.0
 """The same from which it is adopted: within less it explains most, whatever that is."""
 
-SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 8192
+SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 2048
 """Work of the search for what a rotor may need, for each sample, at most: before a load that varies
 is asked for, behind it where more samples are to come, and else."""
 
@@ -86,6 +86,8 @@ class FormTrial:
         self._loads = LoadSearch(self._fitter, self._search, open_forms, start.kind, start.content)
         self._misfits: dict[FormKind, FormFit] = {}  # of candidates
         self._fewest_misfit = start.content.shape[2]  # samples that a rotor did not explain
+        self._load_fit: FormFit | None = None  # the newest one with a load that varies
+        self._load_outcome: TrialOutcome | None = None  # of one without a loss of voltage
         self.backlog = list(backlog)
         self.adopted_count: int | None = None
         self.work = self._steps()
@@ -147,40 +149,16 @@ class FormTrial:
         return math.inf if self._has_most else float(self._start.content[INTERVAL, 0].sum())
 
     def _first_better(self) -> Pieces[TrialOutcome]:
-        """Compare every candidate, and return the first that is better.
+        """Compare one form after another, and return the first that is better.
 
         Of two that are rivals a dead zone has to be clearly better: it is the rarer one. Beside a
-        rotor, whose fit costs most, the first counts: what it does not explain tells it later. A
-        rotor that has failed is asked for all that it may need, unless a load that varies explains
-        the samples: it explains what acts on the shaft, and nothing that takes voltage.
+        rotor, whose fit costs most, the first counts: what it does not explain tells it later.
         """
         reasons = {}
-        candidates = self._start.candidates
-        kinds = [kind for kind in candidates if VARYING_LOAD not in kind.effects]
-        for place, kind in enumerate(kinds):
-            outcome = yield from self._compare(kind)
+        for kind, comparison in self._comparisons():
+            outcome = yield from comparison
             if outcome.form is not None:
-                return (yield from self._best_rival(outcome, kind, kinds[place + 1 :]))
-            reasons[kind.in_words] = outcome.reason
-        failures = [kind for kind in kinds if kind.source == ROTOR and kind in self._misfits]
-        searches = {kind: self._searched(kind) for kind in failures}
-        for kind in failures if self._fewest_misfit > LOOKS[0] else ():
-            outcome = yield from self._compare_searched(searches, kind, SHORT_SEARCH_WORK)
-            if outcome.form is not None:
-                return outcome
-        has_load = False
-        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects]
-        is_needed = bool(failures) or self._comparison.leaves_much
-        for kind in loads[-1:] if is_needed and self._span_s >= SHORT_S else ():
-            outcome, has_load = yield from self._compare_load(kind)
-            if outcome.form is not None:
-                return outcome
-            reasons[kind.in_words] = outcome.reason
-        most_work = SEARCH_WORK if self._has_most else FEW_SEARCH_WORK
-        for kind in [*searches] if not has_load else ():
-            outcome = yield from self._compare_searched(searches, kind, most_work)
-            if outcome.form is not None:
-                return outcome
+                return (yield from self._best_rival(outcome, kind))
             reasons[kind.in_words] = outcome.reason
         number = self._start.number
         times = f'{number} trials' if number > 1 else 'one trial'
@@ -189,35 +167,72 @@ class FormTrial:
         because = f'{here} does not explain the data; after {times} {others}'
         return TrialOutcome(None, because)
 
-    def _best_rival(
-        self, outcome: TrialOutcome, kind: FormKind, others: Sequence[FormKind]
-    ) -> Pieces[TrialOutcome]:
-        """Return the better one of a form's outcome and those of its rivals."""
-        for rival in others:
+    def _comparisons(self) -> Iterator[tuple[FormKind, Pieces[TrialOutcome]]]:
+        """Yield what is compared next: the candidates, then what rotors that fail may need.
+
+        A rotor that has failed is asked for all that it may need, unless a load that varies
+        explains the samples: it explains what acts on the shaft, and nothing that takes voltage.
+        """
+        candidates = self._start.candidates
+        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects]
+        loads = loads if self._span_s >= SHORT_S else []
+        for place, kind in enumerate(candidates):
+            if VARYING_LOAD not in kind.effects:
+                yield kind, self._compare(kind)
+            elif kind in loads and place + 1 < len(candidates):  # else behind short searches
+                yield kind, self._compare_load(kind)
+        failures = [kind for kind in self._misfits if kind.source == ROTOR]
+        searches = {kind: self._searched(kind) for kind in failures}
+        if self._fewest_misfit > LOOKS[0] and not self._has_load:
+            for kind in failures:
+                yield kind, self._compare_searched(searches, kind, SHORT_SEARCH_WORK)
+        for kind in loads if failures or self._comparison.leaves_much else ():
+            yield kind, self._compare_load(kind)
+            yield kind, self._compare_load_beside_loss(kind)
+        most_work = SEARCH_WORK if self._has_most else FEW_SEARCH_WORK
+        for kind in [*searches] if not self._has_load else ():
+            yield kind, self._compare_searched(searches, kind, most_work)
+
+    def _best_rival(self, outcome: TrialOutcome, kind: FormKind) -> Pieces[TrialOutcome]:
+        """Return the better one of a form's outcome and those of its rivals, which come behind."""
+        candidates = self._start.candidates
+        for rival in candidates[candidates.index(kind) + 1 :]:
             if rival in kind.rivals and kind.source != ROTOR:
                 other = yield from self._compare(rival)
                 outcome = min(outcome, other, key=self._comparison.doubt)
         return outcome
 
-    def _compare_load(self, kind: FormKind) -> Pieces[tuple[TrialOutcome, bool]]:
-        """Compare a rotor with a load that varies, and with what may stand for it or beside it.
+    def _compare_load(self, kind: FormKind) -> Pieces[TrialOutcome]:
+        """Compare a rotor with a load that varies, or with what may stand for it; not twice."""
+        if self._load_outcome is None:
+            self._load_fit = yield from self._loads.alone(kind, self._fewest_misfit)
+            self._load_outcome = yield from self._judged_load()
+        return self._load_outcome
 
-        Few samples do not tell it from what takes voltage.
+    def _compare_load_beside_loss(self, kind: FormKind) -> Pieces[TrialOutcome]:
+        """Compare the same with a loss of voltage beside; few samples do not tell these apart."""
+        fit = self._load_fit
+        assert self._load_outcome is not None
+        if self._span_s < LONG_S or not (fit is None or fit.is_misfit):
+            return self._load_outcome
+        self._load_fit = yield from self._loads.beside_loss(kind, fit, self._fewest_misfit)
+        return (yield from self._judged_load())
 
-        Returns:
-            The outcome, and whether it is likely that a load was left out.
-        """
-        fewest = self._fewest_misfit
-        fit = yield from self._loads.alone(kind, fewest)
-        if (fit is None or fit.is_misfit) and self._span_s >= LONG_S:
-            fit = yield from self._loads.beside_loss(kind, fit, fewest)
+    def _judged_load(self) -> Pieces[TrialOutcome]:
+        """Return what comes of the newest fit with a load that varies."""
+        fit = self._load_fit
         if fit is None:
-            return TrialOutcome(None, DOES_NOT), False
+            return TrialOutcome(None, DOES_NOT)
         outcome = yield from self._comparison.judged(fit)
         is_early = VARYING_LOAD in fit.kind.effects and self._span_s < LONG_S
         if outcome.form is not None and is_early:
-            outcome = TrialOutcome(None, 'needs more samples')
-        return outcome, fit.explains
+            return TrialOutcome(None, 'needs more samples')
+        return outcome
+
+    @property
+    def _has_load(self) -> bool:
+        """Whether it is likely that a load was left out."""
+        return self._load_fit is not None and self._load_fit.explains
 
     def _compare(self, kind: FormKind) -> Pieces[TrialOutcome]:
         """Fit another form; return it where it explains the data clearly better."""

@@ -20,37 +20,43 @@ LOOKS = (512, 1024)
 """Newest samples of a trial that are tried first: what explains not even these is given up at a
 fraction of the cost."""
 
+LAST_LOOK = 1.5
+"""Factor from one look with such a load to the last one at least: a rotor is not fitted again for
+fewer samples more, and what fewer have told of a load that varies does not hold for all."""
+
 SHAFT_EFFECTS = frozenset(name for nodes in ON_THE_SHAFT for name in nodes)
 """Effects that may stand for a load that varies."""
 
 SURE = 4.0
 """Standard deviations from nothing from which a loss of voltage beside it shows."""
 
-LOOK_WORK = 2048
+LOOK_WORK = 3072
 """Work of a fit to a look, for each of its samples, at most: what no load explains takes long."""
 
 TOLD_LOAD_WORK = 512
 """Work of the search for what may stand for a load that varies, for each sample, at most."""
 
 
-def look_counts(total: int, fewest: int = 0) -> list[int]:
+def look_counts(total: int, fewest: int = 0, growth: float = 1.0) -> list[int]:
     """Return how many samples the looks of a trial have, at last all of them.
 
     Args:
         total: how many there are.
         fewest: how many a look has at least.
+        growth: factor from one look to the last one at least.
     """
-    return [*(count for count in LOOKS if fewest <= count < total), total]
+    return [*(n for n in LOOKS if fewest <= n < total and n * growth <= total), total]
 
 
-def newest_looks(content: Array, fewest: int = 0) -> list[Array]:
+def newest_looks(content: Array, fewest: int = 0, growth: float = 1.0) -> list[Array]:
     """Return ever more of the newest samples, and at last all of them.
 
     Args:
         content: shape (signal, 1, n): the samples.
         fewest: how many they are at least.
+        growth: factor from one look to the last one at least.
     """
-    return [content[:, :, -count:] for count in look_counts(content.shape[2], fewest)]
+    return [content[:, :, -count:] for count in look_counts(content.shape[2], fewest, growth)]
 
 
 class LoadSearch:
@@ -95,13 +101,15 @@ class LoadSearch:
         """
         form = self._open.make(kind)
         fit = None
-        for place, part in enumerate(newest_looks(self._content)):
+        may_stand = self._may_stand
+        for part in newest_looks(self._content, growth=LAST_LOOK):
             work = self._fitter.first(kind, part, form)
             fit = yield from bounded(work, LOOK_WORK * part.shape[2])
             if fit is None or fit.is_misfit:
                 break
             form = fit.form
-            if place == 0 and self._may_stand:
+            if may_stand and fit.tells('resistance'):
+                may_stand = False
                 most = TOLD_LOAD_WORK * self._content.shape[2]
                 other = yield from bounded(self._stand_in(fit, fewest), most)
                 if other is not None:
@@ -113,6 +121,8 @@ class LoadSearch:
     ) -> Pieces[FormFit | None]:
         """Add the one loss of voltage with which the samples are explained.
 
+        One that the form has may have stood for the load, and is taken off first.
+
         Args:
             kind: of the form without one.
             fit: of it, a misfit; None where it took too much work.
@@ -121,6 +131,11 @@ class LoadSearch:
         Returns:
             The fit; None where none explains them, or more than one.
         """
+        plain = kind.without(*(name for nodes in BESIDE_A_LOAD for name in nodes))
+        if plain != kind:
+            other = yield from self.alone(plain, fewest)
+            if other is not None and other.explains:
+                return other
         explanations = []
         for nodes in BESIDE_A_LOAD:
             other_kind = kind.with_effects(nodes)
