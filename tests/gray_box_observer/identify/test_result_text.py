@@ -115,8 +115,8 @@ def steps_of(
         name: {**entry(value, 0.1, unit), 'verdict': verdict}
         for name, (value, unit) in values.items()
     }
-    added = {'effects': effects, 'effects_reason': 'they showed'}
-    lines = text_of(fit, stamps_exact=stamps_exact, parameters=parameters, derived={}, **added)
+    reasons = {'effects': effects, 'effects_reason': 'they showed'}
+    lines = text_of(fit, stamps_exact=stamps_exact, parameters=parameters, derived={}, **reasons)
     return [line.split(maxsplit=2)[2] for line in lines if line.startswith('  next step')]
 
 

@@ -75,9 +75,8 @@ def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = Fals
         if step is not None:
             steps.append(step)
             del verdicts['inductance']
-    is_loaded = VARYING_LOAD in motor.get('effects', ())
     remedies = {
-        parameter: _remedy(parameter, motor['parameters'][parameter], is_loaded=is_loaded)
+        parameter: _remedy(parameter, motor['parameters'][parameter], is_loaded=_is_loaded(motor))
         for parameter in verdicts
     }
     for remedy in (*REMEDIES.values(), UNSETTLED, LOAD_ADVICE):
@@ -87,10 +86,15 @@ def next_steps(name: str, motor: Mapping[str, Any], *, stamps_exact: bool = Fals
     return steps
 
 
+def _is_loaded(motor: Mapping[str, Any]) -> bool:
+    """Tell whether the form of a motor has a load that varies."""
+    return VARYING_LOAD in motor.get('effects', ())
+
+
 def _remedy(parameter: str, entry: Mapping[str, Any], *, is_loaded: bool) -> str | None:
     """Say what to do about one parameter; None where nothing is asked for."""
     verdict = Verdict(entry['verdict'])
-    if is_loaded and entry['verdict'] in OPEN and acts_on_shaft(parameter):
+    if is_loaded and verdict.value in OPEN and acts_on_shaft(parameter):
         return LOAD_ADVICE
     if verdict is Verdict.CONVERGING and _is_sharp(entry):
         return UNSETTLED
@@ -117,7 +121,7 @@ def _of_short_time_constant(
     if not time_constant_s < max(limits) * interval_s:
         return None
     remedy = 'sample faster'
-    if not (stamps_exact or VARYING_LOAD in motor.get('effects', ())):
+    if not (stamps_exact or _is_loaded(motor)):
         others = [
             parameter
             for parameter, entry in motor['parameters'].items()

@@ -39,20 +39,39 @@ def verdict_advice(motor: MotorView) -> str | None:
     names = [parameter.name for parameter in estimate.parameters]
     for verdict, advice in ADVICE.items():
         at = [j for j, own_verdict in enumerate(estimate.verdicts[0]) if own_verdict is verdict]
-        if motor.filter_remedy is not None and verdict is Verdict.UNEXCITED:
-            at = [j for j in at if names[j] != 'inductance']
-        if verdict is Verdict.UNEXCITED and motor.white_box.load_varies:
-            other_places = [j for j in at if not acts_on_shaft(names[j])]
-            advice = advice if other_places else LOAD_ADVICE
-            at = other_places or at
-        is_inductance = [names[j] for j in at] == ['inductance']
-        if verdict is Verdict.UNEXCITED and is_inductance and _is_unresolved(motor):
-            is_exact = motor.configuration.values['stamps_exact'] or motor.white_box.load_varies
-            return f'inductance: {SAMPLE_FASTER if is_exact else FEW_SAMPLES_ADVICE}'
-        if at:
-            own_names = [f'{names[j]} {estimate.bound_met(0, j)}'.rstrip() for j in at]
-            return f'{", ".join(own_names)}: {advice}'
+        shaft_advice = []
+        if verdict is Verdict.UNEXCITED:
+            if motor.filter_remedy is not None:
+                at = [j for j in at if names[j] != 'inductance']
+            if motor.white_box.load_varies:
+                on_shaft = [j for j in at if acts_on_shaft(names[j])]
+                at = [j for j in at if j not in on_shaft]
+                shaft_advice = [_advice(motor, on_shaft, LOAD_ADVICE)] if on_shaft else []
+            if [names[j] for j in at] == ['inductance'] and _is_unresolved(motor):
+                faster = SAMPLE_FASTER if _ignores_stamps(motor) else FEW_SAMPLES_ADVICE
+                return '; '.join([f'inductance: {faster}', *shaft_advice])
+        sentences = [*([_advice(motor, at, advice)] if at else []), *shaft_advice]
+        if sentences:
+            return '; '.join(sentences)
     return None
+
+
+def _advice(motor: MotorView, places: list[int], advice: str) -> str:
+    """Say what to do about some parameters.
+
+    Args:
+        motor: its estimate, too.
+        places: of the parameters.
+        advice: of all of them.
+    """
+    estimate = motor.estimate
+    names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in places]
+    return f'{", ".join(names)}: {advice}'
+
+
+def _ignores_stamps(motor: MotorView) -> bool:
+    """Tell whether stamps that are exact would tell no more, or are already."""
+    return bool(motor.configuration.values['stamps_exact']) or motor.white_box.load_varies
 
 
 def _is_unresolved(motor: MotorView) -> bool:

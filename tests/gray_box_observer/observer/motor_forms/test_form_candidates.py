@@ -21,10 +21,12 @@ LOADED = BRUSHES.with_effect(VARYING_LOAD)
 OPEN = OpenForms(lambda kind: pytest.fail('made'), (THESIS, ROTOR), POSSIBLE_EFFECTS)
 
 
-def candidates_of(kind: FormKind, *suspects: tuple[str, float]) -> tuple[FormKind, ...]:
+def candidates_of(
+    kind: FormKind, *suspects: tuple[str, float], ratio: float = 30.0
+) -> tuple[FormKind, ...]:
     """Return the candidates where a misfit has such suspects."""
-    suspected = tuple(Suspect(effect, evidence, 'nothing') for effect, evidence in suspects)
-    fit = FitAssessment(FitVerdict.MISFIT, 30.0, 900.0, suspected, 2048)
+    fit_suspects = tuple(Suspect(effect, evidence, 'nothing') for effect, evidence in suspects)
+    fit = FitAssessment(FitVerdict.MISFIT, ratio, 900.0, fit_suspects, 2048)
     return FormCandidates(kind, OPEN).instead(fit, is_doubted=True)
 
 
@@ -42,10 +44,19 @@ def test_one_that_lacks_something_else_is_asked_for_it_last() -> None:
     assert candidates_of(FormKind(THESIS), ('load', 900.0))[-1].effects == (VARYING_LOAD,)
 
 
-def test_a_load_that_varies_has_no_rivals_but_stays_the_last_resort() -> None:
-    loads = [kind for kind in candidates_of(LOADED) if VARYING_LOAD in kind.effects]
-    assert loads == [LOADED.without(VARYING_LOAD).with_effect(VARYING_LOAD)]
-    assert candidates_of(LOADED)[-1] in loads
+@pytest.mark.parametrize('ratio', [1.3, float('nan')])
+def test_one_that_fails_by_little_is_asked_for_it_last(ratio: float) -> None:
+    assert candidates_of(BRUSHES, ('load', 900.0), ratio=ratio)[-1] == LOADED
+
+
+@pytest.mark.parametrize('kind', [LOADED, LOADED.without('brush_drop')])
+@pytest.mark.parametrize('suspect', ['dead_zone', 'current_offset', 'coasting', 'lost_voltage'])
+def test_of_forms_with_a_load_that_varies_one_is_tried_and_last(
+    kind: FormKind, suspect: str
+) -> None:
+    candidates = candidates_of(kind, (suspect, 900.0))
+    assert [one for one in candidates if VARYING_LOAD in one.effects] == [candidates[-1]]
+    assert candidates[-1].is_like(kind)
 
 
 @pytest.mark.parametrize(

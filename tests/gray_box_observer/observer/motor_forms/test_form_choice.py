@@ -208,6 +208,16 @@ def test_a_trial_that_could_not_have_been_is_refused_when_it_is_loaded(
         made().restore(plain, arrays)
 
 
+def test_a_trial_of_a_release_that_compared_otherwise_begins_anew(in_trial: MotorObserver) -> None:
+    """What had been learnt beside is not lost."""
+    plain, arrays = copied(in_trial)
+    plain = with_trial(with_trial(plain, 'order', 1), 'pieces', 90_000)
+    motor = made()
+    motor.restore(plain, arrays)
+    assert trial_of(motor) == {}
+    np.testing.assert_array_equal(motor.context_nodes.theta, in_trial.context_nodes.theta)
+
+
 def test_a_trial_is_judged_by_what_was_compared_when_it_began(in_trial: MotorObserver) -> None:
     plain, arrays = copied(in_trial)
     ends = []

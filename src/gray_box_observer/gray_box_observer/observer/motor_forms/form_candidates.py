@@ -22,8 +22,8 @@ from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG
 MUCH = 5.0
 """Residual over the noise from which a load may be left out first of all: arms leave 7 and more."""
 
-EVIDENCE = 50.0
-"""Log-likelihood that a suspect brings where a rotor lacks nothing else."""
+SURE_SUSPECT = 50.0
+"""Log-likelihood from which the likeliest suspect counts there."""
 
 
 def is_uneasy(kind: FormKind, fit: FitAssessment) -> bool:
@@ -55,7 +55,7 @@ class FormCandidates:
         """Return the forms to try, that of the likeliest suspect first.
 
         A trial adds to a rotor what it needs beside. So it is tried as it is: the one in force, and
-        one without what was added to it.
+        one without what was added to it. At most one of them has a load that varies.
 
         Args:
             fit: what is known of that of the form in force.
@@ -73,6 +73,7 @@ class FormCandidates:
             kinds += self._beside_rotor(fit, plain)
         else:
             kinds += self._beside_speed(fit, plain)
+        kinds = [kind for kind in kinds if VARYING_LOAD not in kind.effects]
         different = [*dict.fromkeys(kind for kind in kinds if self._is_open(kind))]
         rotors = [] if plain is None else self._with_rotor(plain, fit)
         others = [kind for kind in rotors if kind not in different and self._is_open(kind)]
@@ -107,10 +108,9 @@ class FormCandidates:
         twins = TWINS.get(node, ())
         if node not in kind.effects and any(twin in kind.effects for twin in twins):
             kinds.append(kind.without(*twins).with_effect(node))
-        if VARYING_LOAD not in kind.effects and kind.lag is None:
+        if kind.lag is None:
             kinds.append(kind)
-        if VARYING_LOAD not in kind.effects:
-            kinds += kind.rivals
+        kinds += kind.rivals
         if kind.effects:
             kinds.append(FormKind(ROTOR))
         if is_vague:  # a filter colours what is left over
@@ -142,10 +142,12 @@ class FormCandidates:
         Args:
             fit: what is known of that of the form in force.
         """
-        if self.kind.source != ROTOR or VARYING_LOAD in self.kind.effects or fit.ratio < MUCH:
+        if self.kind.source != ROTOR or VARYING_LOAD in self.kind.effects:
+            return False
+        if not fit.ratio >= MUCH:
             return False
         likeliest = fit.suspects[0] if fit.suspects else None
-        if likeliest is None or likeliest.evidence < EVIDENCE:
+        if likeliest is None or likeliest.evidence < SURE_SUSPECT:
             return True
         return likeliest.effect in (LOAD, CHANGE)
 

@@ -23,7 +23,7 @@ from gray_box_observer.fit_test.saved_test import MOST_AHEAD
 from gray_box_observer.fit_test.still_speed import stands_still
 from gray_box_observer.observer.motor_forms.form_candidates import FormCandidates, is_uneasy
 from gray_box_observer.observer.motor_forms.form_comparison import TrialOutcome
-from gray_box_observer.observer.motor_forms.form_trial import FormTrial
+from gray_box_observer.observer.motor_forms.form_trial import ORDER, FormTrial
 from gray_box_observer.observer.motor_forms.motor_form import (
     MEASURED,
     ROTOR,
@@ -515,8 +515,8 @@ class FormChoice:
             self._memory = TrialMemory.restored(group(plain, 'memory'), arrays, NEWEST)
         trial = group(plain, 'trial') if 'trial' in plain else {}
         assert self._open is not None
-        is_outdated = COASTING not in self._open.effects and _tries(trial, COASTING)
-        if 'before_a' in trial and not is_outdated:  # else of an early release, or stated since
+        is_stated = COASTING not in self._open.effects and _tries(trial, COASTING)
+        if trial.get('order') == ORDER and not is_stated:  # else of an early release
             self._trial = FormTrial.restored(
                 trial,
                 arrays,

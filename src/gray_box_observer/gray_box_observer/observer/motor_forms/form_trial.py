@@ -48,8 +48,17 @@ LONG_S = 2.0
 """The same from which it is adopted: within less it explains most, whatever that is."""
 
 SHORT_SEARCH_WORK, FEW_SEARCH_WORK, SEARCH_WORK = 384, 1536, 2048
-"""Work of the search for what a rotor may need, for each sample, at most: before a load that varies
-is asked for, behind it where more samples are to come, and else."""
+"""Work of the search for what a rotor may need, for each sample, at most.
+
+The first is that before a load that varies is asked for, the second that behind it where more
+samples are to come. The third is that of all others.
+"""
+
+LOSS_WORK = 6144
+"""The same of a loss of voltage beside a load that varies."""
+
+ORDER = 2
+"""Of the comparisons: a trial that was saved with another one cannot go on."""
 
 CATCH_UP, WORK_A_CATCH = 64, 3072
 """Samples that a form takes over in one piece of work, once it is adopted, and what that costs."""
@@ -174,19 +183,19 @@ class FormTrial:
         explains the samples: it explains what acts on the shaft, and nothing that takes voltage.
         """
         candidates = self._start.candidates
-        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects]
-        loads = loads if self._span_s >= SHORT_S else []
-        for place, kind in enumerate(candidates):
+        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects][-1:]
+        is_long = self._span_s >= SHORT_S
+        for kind in candidates:
             if VARYING_LOAD not in kind.effects:
                 yield kind, self._compare(kind)
-            elif kind in loads and place + 1 < len(candidates):  # else behind short searches
-                yield kind, self._compare_load(kind)
+            elif kind is not candidates[-1] and is_long and self._leaves_much:
+                yield kind, self._compare_load(kind)  # the last one behind short searches
         failures = [kind for kind in self._misfits if kind.source == ROTOR]
         searches = {kind: self._searched(kind) for kind in failures}
         if self._fewest_misfit > LOOKS[0] and not self._has_load:
             for kind in failures:
                 yield kind, self._compare_searched(searches, kind, SHORT_SEARCH_WORK)
-        for kind in loads if failures or self._comparison.leaves_much else ():
+        for kind in loads if is_long and self._leaves_much else ():
             yield kind, self._compare_load(kind)
             yield kind, self._compare_load_beside_loss(kind)
         most_work = SEARCH_WORK if self._has_most else FEW_SEARCH_WORK
@@ -215,7 +224,9 @@ class FormTrial:
         assert self._load_outcome is not None
         if self._span_s < LONG_S or not (fit is None or fit.is_misfit):
             return self._load_outcome
-        self._load_fit = yield from self._loads.beside_loss(kind, fit, self._fewest_misfit)
+        work = self._loads.beside_loss(kind, fit, self._fewest_misfit)
+        most_work = LOSS_WORK * self._start.sample_count
+        self._load_fit = yield from bounded(work, most_work)
         return (yield from self._judged_load())
 
     def _judged_load(self) -> Pieces[TrialOutcome]:
@@ -228,6 +239,12 @@ class FormTrial:
         if outcome.form is not None and is_early:
             return TrialOutcome(None, 'needs more samples')
         return outcome
+
+    @property
+    def _leaves_much(self) -> bool:
+        """Whether a rotor, or the form in force, leaves what something else has to explain."""
+        has_failed = any(kind.source == ROTOR for kind in self._misfits)
+        return has_failed or self._comparison.leaves_much
 
     @property
     def _has_load(self) -> bool:
@@ -304,6 +321,7 @@ class FormTrial:
         """
         plain, arrays = self._start.state()
         plain['pieces'] = pieces
+        plain['order'] = ORDER
         if self.backlog:
             arrays[_BACKLOG] = _content(self.backlog)
         return plain, arrays

@@ -21,8 +21,11 @@ LOOKS = (512, 1024)
 fraction of the cost."""
 
 LAST_LOOK = 1.5
-"""Factor from one look with such a load to the last one at least: a rotor is not fitted again for
-fewer samples more, and what fewer have told of a load that varies does not hold for all."""
+"""Factor from one look with such a load to the last one at least.
+
+For fewer samples more a rotor is not fitted again. What a load has done before says nothing of
+those.
+"""
 
 SHAFT_EFFECTS = frozenset(name for nodes in ON_THE_SHAFT for name in nodes)
 """Effects that may stand for a load that varies."""
@@ -88,8 +91,8 @@ class LoadSearch:
     def alone(self, kind: FormKind, fewest: int) -> Pieces[FormFit | None]:
         """Fit a rotor with such a load to ever more samples, as long as it explains them.
 
-        What it tells of the winding by few of them is where effects on the shaft begin, which may
-        stand for it: beside these the deviations of the rotor are not opened.
+        Effects on the shaft may stand for it: beside these the deviations of the rotor are not
+        opened. They begin where a look tells the winding first, or where all samples leave it.
 
         Args:
             kind: of the form.
@@ -108,7 +111,8 @@ class LoadSearch:
             if fit is None or fit.is_misfit:
                 break
             form = fit.form
-            if may_stand and fit.tells('resistance'):
+            is_last = part.shape[2] == self._content.shape[2]
+            if may_stand and (is_last or fit.tells('resistance')):
                 may_stand = False
                 most = TOLD_LOAD_WORK * self._content.shape[2]
                 other = yield from bounded(self._stand_in(fit, fewest), most)
@@ -124,12 +128,13 @@ class LoadSearch:
         One that the form has may have stood for the load, and is taken off first.
 
         Args:
-            kind: of the form without one.
-            fit: of it, a misfit; None where it took too much work.
+            kind: of the form without it.
+            fit: of that form, a misfit; None where it took too much work.
             fewest: samples that the rotor did not explain without the load.
 
         Returns:
-            The fit; None where none explains them, or more than one.
+            The fit with it, or without the one that the form has; None where none explains them,
+            or more than one.
         """
         plain = kind.without(*(name for nodes in BESIDE_A_LOAD for name in nodes))
         if plain != kind:

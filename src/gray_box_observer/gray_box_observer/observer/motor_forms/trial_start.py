@@ -133,11 +133,7 @@ def _saved_candidates(
     Raises:
         CheckpointError: they are none that could be tried.
     """
-    if 'candidates' in plain:
-        entries = entry(plain, 'candidates')
-    else:  # of a release that tried the source of the speed alone
-        other = kind.with_other_source
-        entries = [] if other is None else [[other.source]]
+    entries = entry(plain, 'candidates')
     if isinstance(entries, list) and 0 < len(entries) <= MOST_CANDIDATES:
         kinds = tuple(_kind_of(one) for one in entries if isinstance(one, list) and one)
         if (
