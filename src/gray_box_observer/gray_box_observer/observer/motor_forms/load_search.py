@@ -33,7 +33,7 @@ SHAFT_EFFECTS = frozenset(name for nodes in ON_THE_SHAFT for name in nodes)
 SURE = 4.0
 """Standard deviations from nothing from which a loss of voltage beside it shows."""
 
-LOOK_WORK = 3072
+LOOK_WORK = 2048
 """Work of a fit to a look, for each of its samples, at most: what no load explains takes long."""
 
 TOLD_LOAD_WORK = 512
