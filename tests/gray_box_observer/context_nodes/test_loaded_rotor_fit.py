@@ -23,7 +23,7 @@ from gray_box_observer.context_nodes.rotor.loaded_fit import (
     loaded_current,
     loaded_runs,
 )
-from gray_box_observer.context_nodes.rotor.loaded_learner import LoadedLearner
+from gray_box_observer.context_nodes.rotor.loaded_learner import AGREEING, LoadedLearner
 from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -109,6 +109,35 @@ def test_what_a_load_may_have_done_is_no_other_motor(move: float, is_another: bo
     learner._newest_fit = cast(LoadedFit, SimpleNamespace(open_std=np.zeros(THETA.size)))
     shifted = SimpleNamespace(logarithms=np.log(THETA) + move, information=precision)
     assert learner._contradicts(cast(Fit, shifted)) == is_another
+
+
+@pytest.mark.slow
+def test_what_a_change_has_moved_is_in_doubt_until_enough_windows_agree() -> None:
+    samples = samples_of(loaded())
+    window = Window.from_samples(VARYING, signals_of(samples))
+    learner = LoadedLearner(VARYING, INITIAL, None, drift_threshold=1e9)
+    place = VARYING.context_nodes.index('resistance')
+    moved = LogPrior(learner.logarithms, np.eye(INITIAL.size))
+
+    def std_after_window() -> float:
+        completed(learner.learn(window, is_full=True))
+        return float(np.sqrt(learner.covariance[place, place]))
+
+    usual = std_after_window()
+    learner.memory = LogPrior(learner.logarithms + 0.4, moved.precision)
+    learner.is_new_motor = True
+    learner._count_agreement(learner.memory.mean, is_full=True)
+    learner.memory = None
+    arrays = {name: array.copy() for name, array in learner.arrays().items()}
+    stds = [std_after_window() for _ in range(AGREEING)]
+    assert all(std == pytest.approx(0.4, rel=0.05) for std in stds[:-1])
+    assert stds[-1] < 1.5 * usual
+    restored = LoadedLearner(VARYING, INITIAL, None, drift_threshold=1e9)
+    restored.check(arrays)
+    restored.restore({'settled': True, 'remembers': False}, arrays)
+    assert restored.arrays()['jump'].tobytes() == arrays['jump'].tobytes()
+    with pytest.raises(CheckpointError):
+        restored.check({**arrays, 'agreeing': np.array([-1.0])})
 
 
 @pytest.mark.slow

@@ -20,6 +20,12 @@ from gray_box_observer.context_nodes.rotor.window_learner import (
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.white_box.interface import Array
 
+AGREEING = 16
+"""Full windows that have to agree with a motor that was found changed.
+
+Until then it may be as it was: what brushes take looks like a load, and searches end elsewhere.
+"""
+
 SURE = 3.0
 """Standard deviations of what a load may have done, beyond which the motor is another one."""
 
@@ -33,16 +39,38 @@ class LoadedLearner(WindowLearner):
 
     walk = 0.0
     _newest_fit: LoadedFit | None = None  # of the fit under way
+    _jump: Array | None = None  # shape (parameter,): of the logarithms at the newest change
+    _agreeing_count = 0  # full windows since
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; see :meth:`WindowLearner.learn`."""
         self._newest_fit = None
+        before = self.logarithms if self.memory is None else self.memory.mean
         has_fit = yield from super().learn(window, is_full=is_full)
+        if has_fit:
+            self._count_agreement(before, is_full=is_full)
         if has_fit and self._newest_fit is not None:
             self.walk = self._newest_fit.walk
             self.covariance = self.covariance + np.diag(self._newest_fit.open_std**2)
+            if self._jump is not None:
+                self.covariance = self.covariance + np.diag(self._jump**2)
         self._newest_fit = None
         return has_fit
+
+    def _count_agreement(self, before: Array, *, is_full: bool) -> None:
+        """Note by how much a motor was found changed, until enough windows agree with that.
+
+        Args:
+            before: shape (parameter,): logarithms that were known before the newest window.
+            is_full: whether that is a full one.
+        """
+        if self.is_new_motor:
+            self._jump = self.logarithms - before
+            self._agreeing_count = 0
+        elif self._jump is not None and self.is_settled and is_full:
+            self._agreeing_count += 1
+            if self._agreeing_count >= AGREEING:
+                self._jump = None
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
@@ -84,15 +112,24 @@ class LoadedLearner(WindowLearner):
 
     def arrays(self) -> dict[str, Array]:
         """Return what a checkpoint holds of it, beside flags."""
-        return super().arrays() | {'walk': np.array([self.walk])}
+        arrays = super().arrays() | {'walk': np.array([self.walk])}
+        if self._jump is not None:
+            arrays |= {'jump': self._jump, 'agreeing': np.array([float(self._agreeing_count)])}
+        return arrays
 
     def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Take back arrays that :meth:`check` lets pass, and flags."""
         super().restore(plain, arrays)
         self.walk = float(arrays['walk'][0])
         self._newest_fit = None
+        self._jump = arrays.get('jump')
+        self._agreeing_count = int(arrays['agreeing'][0]) if 'jump' in arrays else 0
 
     def check(self, arrays: Mapping[str, Array]) -> None:
         """Refuse arrays that could not have been learnt; see :meth:`WindowLearner.check`."""
         super().check(arrays)
-        check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
+        rules = {'walk': ArrayRule((1,), 0.0)}
+        if 'jump' in arrays:
+            rules['jump'] = ArrayRule(self.logarithms.shape)
+            rules['agreeing'] = ArrayRule((1,), 0.0, AGREEING)
+        check_arrays(arrays, rules)
