@@ -52,9 +52,9 @@ def test_the_weak_form_knows_what_brushes_drop_by_the_sign_of_the_current(
     drop_v = 0.8
     plant = replace(GEAR_MOTOR, brush_drop=drop_v)
     samples = content_of(recorded_motor(plant, LIVELY, 3.0, seed))
-    box = replace(BOX, context_nodes=(*NODES, 'brush_drop'))
-    if is_stated:
-        box = replace(BOX, known={**BOX.known, 'brush_drop': drop_v})
+    stated_box = replace(BOX, known={**BOX.known, 'brush_drop': drop_v})
+    open_box = replace(BOX, context_nodes=(*NODES, 'brush_drop'))
+    box = stated_box if is_stated else open_box
     starts = np.array([*weak_starts(box, Window.from_samples(box, samples))])
     assert np.median(np.abs(starts[:, 1] / plant.resistance - 1.0)) < 0.08
     if not is_stated:

@@ -9,8 +9,8 @@ from typing import Any
 from gray_box_observer.context_nodes import Verdict, VerdictSettings
 from gray_box_observer.fit_test.policy import SHORT, SHORTEST
 from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR
-from gray_box_observer.observer.verdict_advice import ADVICE, LOAD_ADVICE, acts_on_shaft
-from gray_box_observer.settings.motor_configuration import CURRENT_LAG, VARYING_LOAD
+from gray_box_observer.observer.verdict_advice import ADVICE, LOAD_ADVICE
+from gray_box_observer.settings.motor_configuration import CURRENT_LAG, VARYING_LOAD, is_mechanical
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 
 REMEDIES = {
@@ -94,7 +94,7 @@ def _is_loaded(motor: Mapping[str, Any]) -> bool:
 def _remedy(parameter: str, entry: Mapping[str, Any], *, is_loaded: bool) -> str | None:
     """Say what to do about one parameter; None where nothing is asked for."""
     verdict = Verdict(entry['verdict'])
-    if is_loaded and verdict.value in OPEN and acts_on_shaft(parameter):
+    if is_loaded and verdict.value in OPEN and is_mechanical(parameter):
         return LOAD_ADVICE
     if verdict is Verdict.CONVERGING and _is_sharp(entry):
         return UNSETTLED

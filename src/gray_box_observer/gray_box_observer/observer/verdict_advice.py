@@ -7,7 +7,7 @@ from gray_box_observer.context_nodes.rotor.window_fit import RESOLVED, is_resolv
 from gray_box_observer.observer.motor_view import MOST_JUDGED, MotorView
 from gray_box_observer.samples.order_statistics import usual_interval
 from gray_box_observer.samples.replay_buffer import INTERVAL
-from gray_box_observer.white_box.declaration import TERMS, State
+from gray_box_observer.settings.motor_configuration import is_mechanical
 
 ADVICE = {
     Verdict.IMPLAUSIBLE: 'check torque_constant, units and sign of voltage and torque',
@@ -21,12 +21,6 @@ FEW_SAMPLES_ADVICE = f'{SAMPLE_FASTER}, or set stamps_exact where stamps are tho
 
 LOAD_ADVICE = 'a load that varies hides it, whatever the voltage does: publish the speed'
 """Of what acts on the shaft beside a load that varies."""
-
-
-def acts_on_shaft(parameter: str) -> bool:
-    """Tell whether a parameter is one of the rotor."""
-    term = TERMS.get(parameter)
-    return term is not None and term.state is State.SPEED
 
 
 def verdict_advice(motor: MotorView) -> str | None:
@@ -44,11 +38,11 @@ def verdict_advice(motor: MotorView) -> str | None:
             if motor.filter_remedy is not None:
                 at = [j for j in at if names[j] != 'inductance']
             if motor.white_box.load_varies:
-                on_shaft = [j for j in at if acts_on_shaft(names[j])]
+                on_shaft = [j for j in at if is_mechanical(names[j])]
                 at = [j for j in at if j not in on_shaft]
                 shaft_advice = [_advice(motor, on_shaft, LOAD_ADVICE)] if on_shaft else []
             if [names[j] for j in at] == ['inductance'] and _is_unresolved(motor):
-                faster = SAMPLE_FASTER if _ignores_stamps(motor) else FEW_SAMPLES_ADVICE
+                faster = SAMPLE_FASTER if motor.white_box.load_varies else FEW_SAMPLES_ADVICE
                 return '; '.join([f'inductance: {faster}', *shaft_advice])
         sentences = [*([_advice(motor, at, advice)] if at else []), *shaft_advice]
         if sentences:
@@ -67,11 +61,6 @@ def _advice(motor: MotorView, places: list[int], advice: str) -> str:
     estimate = motor.estimate
     names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in places]
     return f'{", ".join(names)}: {advice}'
-
-
-def _ignores_stamps(motor: MotorView) -> bool:
-    """Tell whether stamps that are exact would tell no more, or are already."""
-    return bool(motor.configuration.values['stamps_exact']) or motor.white_box.load_varies
 
 
 def _is_unresolved(motor: MotorView) -> bool:

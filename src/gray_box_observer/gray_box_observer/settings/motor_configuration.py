@@ -86,7 +86,7 @@ class MotorConfiguration:
         constants |= self._known_parts(nodes)
         if mechanical:
             constants = {
-                name: value for name, value in constants.items() if not _is_mechanical(name)
+                name: value for name, value in constants.items() if not is_mechanical(name)
             }
         if self.has_rotor and not self.states_back_emf:
             constants[BACK_EMF] = self.values['torque_constant']
@@ -112,7 +112,7 @@ class MotorConfiguration:
         if self.has_rotor:
             return ()
         nodes = self.values['context_nodes']
-        return tuple(name for name in nodes if _is_mechanical(name))
+        return tuple(name for name in nodes if is_mechanical(name))
 
     @property
     def known_mechanics(self) -> dict[str, float]:
@@ -121,7 +121,7 @@ class MotorConfiguration:
         return {
             name: self.values[parameter]
             for name, parameter in KNOWN_PARAMETERS.items()
-            if _is_mechanical(name) and name not in nodes and self.values[parameter] != 0.0
+            if is_mechanical(name) and name not in nodes and self.values[parameter] != 0.0
         }
 
     @property
@@ -432,7 +432,7 @@ def _check_starts(motor: MotorConfiguration) -> None:
             )
 
 
-def _is_mechanical(name: str) -> bool:
+def is_mechanical(name: str) -> bool:
     """Tell whether a parameter is of the rotor; of a name that is none, it is not."""
     return name in TERMS and TERMS[name].state is State.SPEED
 

@@ -15,19 +15,17 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
+from gray_box_observer.context_nodes.rotor.breakaway_start import DRY_FRICTION
 from gray_box_observer.context_nodes.rotor.free_runs import FreeRuns, guessed_starts
 from gray_box_observer.context_nodes.rotor.history_unknowns import LoadWalk, knot_places
 from gray_box_observer.context_nodes.rotor.logarithms import LogPrior
+from gray_box_observer.context_nodes.rotor.weak_start import BRUSHES
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_equations import robust_cost
 from gray_box_observer.context_nodes.rotor.window_search import LEAST_START_GAIN, Search
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-DRY_FRICTION = 'coulomb_friction'
-
-BRUSHES = 'brush_drop'
 
 HOLDERS = (DRY_FRICTION, BRUSHES)
 """Effects that may hold a state."""

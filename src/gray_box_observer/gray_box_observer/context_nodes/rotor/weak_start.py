@@ -10,6 +10,7 @@ differentiated: left are second differences of a signal's integrals at the trian
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -177,10 +178,9 @@ def _positive(rows: Array) -> Array | None:
     """
     right = rows[:, RIGHT]
     loads = range(DROP + 1, rows.shape[1])
-    for parts in ((3, 4, DROP), (4, DROP), (3, DROP), (DROP,), (3, 4), (4,), (3,), ()):
-        if DROP in parts and not rows[:, DROP].any():
-            continue
-        columns = (0, 1, 2, *parts, *loads)
+    brushes = ((DROP,), ()) if rows[:, DROP].any() else ((),)
+    for brush, friction in product(brushes, ((3, 4), (4,), (3,), ())):
+        columns = (0, 1, 2, *friction, *brush, *loads)
         selection = rows[:, columns]
         size = np.linalg.norm(selection, axis=0)
         is_present = size > 0.0

@@ -183,17 +183,16 @@ class FormTrial:
         explains the samples: it explains what acts on the shaft, and nothing that takes voltage.
         """
         candidates = self._start.candidates
-        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects][-1:]
+        loads = [kind for kind in candidates if VARYING_LOAD in kind.effects]
         is_long = self._span_s >= SHORT_S
         for kind in candidates:
             if VARYING_LOAD not in kind.effects:
                 yield kind, self._compare(kind)
             elif kind is not candidates[-1] and is_long and self._leaves_much:
                 yield kind, self._compare_load(kind)  # the last one behind short searches
-        failures = [kind for kind in self._misfits if kind.source == ROTOR]
-        searches = {kind: self._searched(kind) for kind in failures}
+        searches = {kind: self._searched(kind) for kind in self._failures}
         if self._fewest_misfit > LOOKS[0] and not self._has_load:
-            for kind in failures:
+            for kind in self._failures:
                 yield kind, self._compare_searched(searches, kind, SHORT_SEARCH_WORK)
         for kind in loads if is_long and self._leaves_much else ():
             yield kind, self._compare_load(kind)
@@ -241,10 +240,14 @@ class FormTrial:
         return outcome
 
     @property
+    def _failures(self) -> list[FormKind]:
+        """Rotors that do not explain the samples."""
+        return [kind for kind in self._misfits if kind.source == ROTOR]
+
+    @property
     def _leaves_much(self) -> bool:
         """Whether a rotor, or the form in force, leaves what something else has to explain."""
-        has_failed = any(kind.source == ROTOR for kind in self._misfits)
-        return has_failed or self._comparison.leaves_much
+        return bool(self._failures) or self._comparison.leaves_much
 
     @property
     def _has_load(self) -> bool:
