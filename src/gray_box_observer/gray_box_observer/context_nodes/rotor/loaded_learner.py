@@ -9,9 +9,14 @@ import numpy as np
 
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.rotor.loaded_fit import ROUGH, LoadedFit, fit_loaded
-from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.logarithms import (
+    Fit,
+    LogPrior,
+    symmetric_inverse,
+)
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_agreement import WindowAgreement
 from gray_box_observer.context_nodes.rotor.window_learner import (
     FEWEST_MOVES,
     SHARP,
@@ -19,12 +24,7 @@ from gray_box_observer.context_nodes.rotor.window_learner import (
 )
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.white_box.interface import Array
-
-AGREEING = 16
-"""Full windows that have to agree with a motor that was found changed.
-
-Until then it may be as it was: what brushes take looks like a load, and searches end elsewhere.
-"""
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 SURE = 3.0
 """Standard deviations of what a load may have done, beyond which the motor is another one."""
@@ -39,38 +39,54 @@ class LoadedLearner(WindowLearner):
 
     walk = 0.0
     _newest_fit: LoadedFit | None = None  # of the fit under way
-    _jump: Array | None = None  # shape (parameter,): of the logarithms at the newest change
-    _agreeing_count = 0  # full windows since
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        initial_relative_std: Array | None,
+        drift_threshold: float,
+    ) -> None:
+        super().__init__(white_box, initial, initial_relative_std, drift_threshold)
+        self._agreement = WindowAgreement(self.logarithms.size)
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; see :meth:`WindowLearner.learn`."""
         self._newest_fit = None
-        before = self.logarithms if self.memory is None else self.memory.mean
+        memory = self.memory
         has_fit = yield from super().learn(window, is_full=is_full)
-        if has_fit:
-            self._count_agreement(before, is_full=is_full)
         if has_fit and self._newest_fit is not None:
-            self.walk = self._newest_fit.walk
-            self.covariance = self.covariance + np.diag(self._newest_fit.open_std**2)
-            if self._jump is not None:
-                self.covariance = self.covariance + np.diag(self._jump**2)
+            fit = self._newest_fit
+            self.walk = fit.walk
+            if self.is_new_motor and memory is not None:
+                self._agreement.note_change(self.logarithms - memory.mean)
+            elif self.is_settled:
+                self._compare(fit, memory, is_full=is_full)
+            self.covariance = self._agreement.widened(self.covariance + np.diag(fit.open_std**2))
         self._newest_fit = None
         return has_fit
 
-    def _count_agreement(self, before: Array, *, is_full: bool) -> None:
-        """Note by how much a motor was found changed, until enough windows agree with that.
+    def _compare(self, fit: LoadedFit, memory: LogPrior | None, *, is_full: bool) -> None:
+        """Compare a window with those before it.
+
+        A load that is no random walk moves each of them.
 
         Args:
-            before: shape (parameter,): logarithms that were known before the newest window.
-            is_full: whether that is a full one.
+            fit: of the window.
+            memory: what those before it have told; None: there are none.
+            is_full: whether its samples are no part of the next one.
         """
-        if self.is_new_motor:
-            self._jump = self.logarithms - before
-            self._agreeing_count = 0
-        elif self._jump is not None and self.is_settled and is_full:
-            self._agreeing_count += 1
-            if self._agreeing_count >= AGREEING:
-                self._jump = None
+        if is_full:
+            self._agreement.note_explained()
+        if memory is None:
+            return
+        known = self._data_sheet.precision + memory.precision
+        before = np.diagonal(symmetric_inverse(known))
+        behind = np.diagonal(symmetric_inverse(known + fit.fit.information))
+        variance = np.maximum(before - behind, 0.0) + fit.open_std**2
+        is_remembered = np.diagonal(memory.precision) > 0.0
+        move = self.logarithms - memory.mean
+        self._agreement.add(move, np.where(is_remembered, variance, 0.0), is_full=is_full)
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]
@@ -112,24 +128,18 @@ class LoadedLearner(WindowLearner):
 
     def arrays(self) -> dict[str, Array]:
         """Return what a checkpoint holds of it, beside flags."""
-        arrays = super().arrays() | {'walk': np.array([self.walk])}
-        if self._jump is not None:
-            arrays |= {'jump': self._jump, 'agreeing': np.array([float(self._agreeing_count)])}
-        return arrays
+        walk = {'walk': np.array([self.walk])}
+        return super().arrays() | walk | self._agreement.arrays()
 
     def restore(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Take back arrays that :meth:`check` lets pass, and flags."""
         super().restore(plain, arrays)
         self.walk = float(arrays['walk'][0])
         self._newest_fit = None
-        self._jump = arrays.get('jump')
-        self._agreeing_count = int(arrays['agreeing'][0]) if 'jump' in arrays else 0
+        self._agreement.restore(arrays)
 
     def check(self, arrays: Mapping[str, Array]) -> None:
         """Refuse arrays that could not have been learnt; see :meth:`WindowLearner.check`."""
         super().check(arrays)
-        rules = {'walk': ArrayRule((1,), 0.0)}
-        if 'jump' in arrays:
-            rules['jump'] = ArrayRule(self.logarithms.shape)
-            rules['agreeing'] = ArrayRule((1,), 0.0, AGREEING)
-        check_arrays(arrays, rules)
+        check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
+        self._agreement.check(arrays)

@@ -95,3 +95,11 @@ class Fit:
         """
         precision = self.information + prior.precision
         return np.asarray(np.linalg.pinv(precision, hermitian=True), dtype=float)
+
+
+def symmetric_inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix in its own units, symmetric again."""
+    unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    correlations = matrix / unit[:, None] / unit
+    result = np.linalg.pinv(0.5 * (correlations + correlations.T), rcond=1e-13, hermitian=True)
+    return np.asarray(result / unit[:, None] / unit, dtype=float)

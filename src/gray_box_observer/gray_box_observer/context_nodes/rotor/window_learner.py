@@ -18,7 +18,11 @@ from gray_box_observer.context_nodes.recursive.normal_equations import differenc
 from gray_box_observer.context_nodes.rotor.breakaway_start import begins_held
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
 from gray_box_observer.context_nodes.rotor.history_unknowns import Unknowns
-from gray_box_observer.context_nodes.rotor.logarithms import Fit, LogPrior
+from gray_box_observer.context_nodes.rotor.logarithms import (
+    Fit,
+    LogPrior,
+    symmetric_inverse,
+)
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.soft_friction import soft_friction_pull
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
@@ -176,13 +180,13 @@ class WindowLearner:
         weak_precision = np.minimum(VAGUE**-2.0, shares**2)
         self.logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), weak_precision)
-        covariance = _inverse(information + np.diag(prior))
+        covariance = symmetric_inverse(information + np.diag(prior))
         shift = covariance @ self._soft_pull(fit)
         pull = self._counted(shift)
         spread = fit.spread + np.outer(pull, pull)
         self.covariance = self._within_reach(covariance) + spread
         self.share = voltage_shares(self._white_box, fit.theta, fit.runs)
-        excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
+        excess = largest_excess(fit.theta, information, symmetric_inverse(information), fit.spread)
         self.reach = np.where(self.share > 0.0, excess, 0.0) * self.share
         if self._is_ambiguous(window):
             self.covariance += SHARP**2 * np.eye(prior.size)
@@ -192,7 +196,7 @@ class WindowLearner:
         self.voltage_noise = fit.voltage_noise
         self.has_rivals = bool(fit.spread.any())
         if self.is_settled and is_full:
-            self._remember(_inverse(information + np.diag(weak_precision)) + fit.spread)
+            self._remember(symmetric_inverse(information + np.diag(weak_precision)) + fit.spread)
             self._soft_shift = shift
         return True
 
@@ -263,7 +267,9 @@ class WindowLearner:
         """Keep what is known of those parameters that the samples have told of."""
         sharp = np.flatnonzero(np.diagonal(covariance) < self._sharp_std**2)
         precision = np.zeros_like(covariance)
-        precision[np.ix_(sharp, sharp)] = MEMORY * _inverse(covariance[np.ix_(sharp, sharp)])
+        precision[np.ix_(sharp, sharp)] = MEMORY * symmetric_inverse(
+            covariance[np.ix_(sharp, sharp)]
+        )
         self.memory = LogPrior(self.logarithms, precision)
 
     def _solvable(self, window: Window) -> Pieces[Fit | None]:
@@ -336,7 +342,7 @@ class WindowLearner:
         precisions, axes = np.linalg.eigh(self.memory.precision[np.ix_(sharp, sharp)])
         root = axes * np.sqrt(np.maximum(precisions, 0.0))
         pull = root.T @ (fit.logarithms - self.memory.mean)[sharp]
-        spread = root.T @ _inverse(fit.information)[np.ix_(sharp, sharp)] @ root
+        spread = root.T @ symmetric_inverse(fit.information)[np.ix_(sharp, sharp)] @ root
         variances, directions = np.linalg.eigh(spread)
         pulls = directions.T @ pull
         chi_square = float((1.0 + np.minimum(variances, 1.0 / LEAST_SHARE)) @ pulls**2)
@@ -410,11 +416,3 @@ class WindowLearner:
 def _sharp_noise(fit: Fit) -> float:
     """Return the noise of a fit by second differences."""
     return max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
-
-
-def _inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric matrix in its own units, symmetric again."""
-    unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
-    correlations = matrix / unit[:, None] / unit
-    result = np.linalg.pinv(0.5 * (correlations + correlations.T), rcond=1e-13, hermitian=True)
-    return np.asarray(result / unit[:, None] / unit, dtype=float)
