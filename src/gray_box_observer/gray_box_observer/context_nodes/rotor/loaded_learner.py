@@ -50,6 +50,32 @@ class LoadedLearner(WindowLearner):
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self._agreement = WindowAgreement(self.logarithms.size)
 
+    def recall(self, known: Mapping[str, tuple[float, float]]) -> None:
+        """Begin with what is known before any window, as if windows had told it.
+
+        Args:
+            known: value and relative standard deviation, by context node; others are left out.
+        """
+        nodes = self._white_box.context_nodes
+        mean = self.logarithms.copy()
+        precision = np.zeros_like(self.covariance)
+        for name, (value, std) in known.items():
+            if name in nodes:
+                place = nodes.index(name)
+                mean[place] = np.log(np.clip(value, self._lower[place], self._upper[place]))
+                precision[place, place] = std**-2.0
+        self.logarithms = mean
+        self.memory = LogPrior(mean, precision)
+
+    @property
+    def _is_first(self) -> bool:
+        """Whether windows have told nothing yet."""
+        return self.counts['fits'] == 0 and not self.is_settled
+
+    def _prior_anywhere(self) -> LogPrior:
+        """What is known before the first window is no motor that has changed."""
+        return self._prior() if self._is_first else self._data_sheet
+
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; see :meth:`WindowLearner.learn`."""
         self._newest_fit = None
@@ -93,6 +119,9 @@ class LoadedLearner(WindowLearner):
     ) -> Pieces[Fit | None]:
         if len(starts) == 1:
             starts = [*starts, *weak_starts(self._white_box, window)]
+        if self.memory is not None and self._is_first:
+            known = np.diagonal(self.memory.precision) > 0.0
+            starts = [np.where(known, np.exp(self.memory.mean), start) for start in starts]
         return self._noted((yield from fit_loaded(self._white_box, window, prior, starts)))
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:

@@ -388,6 +388,15 @@ class RotorUpdate:
         """
         self._learner.begin_at(theta[0], searches_elsewhere=searches_elsewhere)
 
+    def recall(self, known: Mapping[str, tuple[float, float]]) -> None:
+        """Begin with what the motor has told before any window; its load has to vary.
+
+        Args:
+            known: value and relative standard deviation, by context node; others are left out.
+        """
+        assert isinstance(self._learner, LoadedLearner)
+        self._learner.recall(known)
+
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.
 

@@ -306,7 +306,7 @@ class WindowLearner:
         """Fit without regard to what was known, from every start there is."""
         newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
         starts = [self.theta, *weak_starts(self._white_box, newest)]
-        fit = yield from self._fitted(newest, self._data_sheet, starts)
+        fit = yield from self._fitted(newest, self._prior_anywhere(), starts)
         if fit is None or newest is window or self._is_hopeless(fit):
             return fit
         return (yield from self._fitted_whole(window, fit))
@@ -319,7 +319,11 @@ class WindowLearner:
         starts = [newest.theta]
         if begins_held(self._white_box, window):
             starts += weak_starts(self._white_box, newest.runs.window)
-        return (yield from self._fitted(window, self._data_sheet, starts))
+        return (yield from self._fitted(window, self._prior_anywhere(), starts))
+
+    def _prior_anywhere(self) -> LogPrior:
+        """Return what is believed of a motor of which windows have told nothing."""
+        return self._data_sheet
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""

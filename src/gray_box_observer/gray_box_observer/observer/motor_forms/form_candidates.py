@@ -11,13 +11,18 @@ from dataclasses import dataclass, replace
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.fit_test.effects import CHANGE, COLOURED_NOISE, LOAD
 from gray_box_observer.fit_test.speed_basis import leaves_much
-from gray_box_observer.fit_test.twin_effects import TWINS
+from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, TWINS
 from gray_box_observer.observer.motor_forms.load_search import SHAFT_EFFECTS
 from gray_box_observer.observer.motor_forms.motor_form import MEASURED, ROTOR, FormKind
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.standstill import StandstillLine
 from gray_box_observer.observer.motor_forms.suspected_effects import NODES
 from gray_box_observer.observer.motor_forms.trial_start import FEW_CANDIDATES
-from gray_box_observer.settings.motor_configuration import COASTING, CURRENT_LAG, VARYING_LOAD
+from gray_box_observer.settings.motor_configuration import (
+    COASTING,
+    CURRENT_LAG,
+    VARYING_LOAD,
+)
 
 MUCH = 5.0
 """Residual over the noise from which a load may be left out first of all: arms leave 7 and more."""
@@ -44,10 +49,12 @@ class FormCandidates:
     Attributes:
         kind: of the form in force.
         open_forms: which forms data may lead to.
+        standstill: what pauses of the motor have told; None: nothing.
     """
 
     kind: FormKind
     open_forms: OpenForms
+    standstill: StandstillLine | None = None
 
     def instead(
         self, fit: FitAssessment, *, is_doubted: bool, has_no_speed: bool = False
@@ -80,7 +87,9 @@ class FormCandidates:
         usual_kinds = [*different, *others][:FEW_CANDIDATES]
         loads = [kind for kind in self._with_varying_load(plain) if self._is_open(kind)]
         place = len(usual_kinds)
-        if self._may_be_loaded(fit) and self.kind in usual_kinds:
+        if self.standstill is not None:
+            place = 0
+        elif self._may_be_loaded(fit) and self.kind in usual_kinds:
             place = usual_kinds.index(self.kind) + 1
         return (*usual_kinds[:place], *loads, *usual_kinds[place:])
 
@@ -158,10 +167,15 @@ class FormCandidates:
             plain: the form with the other source of the speed.
         """
         if self.kind.source == ROTOR:
-            return [self.kind.without(*SHAFT_EFFECTS).with_effects((VARYING_LOAD,))]
-        if plain is None or plain.source != ROTOR:
+            kind = self.kind.without(*SHAFT_EFFECTS).with_effects((VARYING_LOAD,))
+        elif plain is not None and plain.source == ROTOR:
+            kind = plain.with_effect(VARYING_LOAD)
+        else:
             return []
-        return [plain.with_effect(VARYING_LOAD)]
+        if self.standstill is not None and LOST_VOLTAGE in self.open_forms.effects:
+            loss = (LOST_VOLTAGE,) if self.standstill.has_drop else ()
+            kind = FormKind(ROTOR, (VARYING_LOAD, *loss))  # few samples may have told others
+        return [kind]
 
     @staticmethod
     def _with_rotor(plain: FormKind, fit: FitAssessment) -> list[FormKind]:

@@ -33,6 +33,7 @@ from gray_box_observer.observer.motor_forms.motor_form import (
     residual_a,
 )
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.standstill import Standstills
 from gray_box_observer.observer.motor_forms.trial_memory import TrialMemory
 from gray_box_observer.observer.motor_forms.trial_start import NEWEST, TrialStart, can_tell
 from gray_box_observer.observer.motor_forms.voltage_path import VoltagePath
@@ -47,7 +48,7 @@ from gray_box_observer.safe_io.saved_state import (
     whole,
 )
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.settings.motor_configuration import COASTING
+from gray_box_observer.settings.motor_configuration import COASTING, VARYING_LOAD
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -164,6 +165,7 @@ class FormChoice:
         self._budget = WorkBudget()
         self._trial: FormTrial | None = None
         self._memory: TrialMemory | None = None
+        self._standstills = Standstills()  # while the form in force is in doubt
         self._newest_v = self._largest_v = 0.0  # voltages; the largest of two samples in a row
         self._place = 0  # of the newest sample
         self._change_count = 0  # samples at which the motor looked like another one, less good ones
@@ -253,6 +255,8 @@ class FormChoice:
         elif not self._reasons.refusal:
             self._reasons.refusal = self._why_not_yet(self._candidates(fit))
         self._keep(nodes, path, new_count, is_doubted=is_doubted)
+        if is_doubted and self.kind.source != MEASURED:
+            self._look_for_pauses(white_box, sample)
         if self._trial is None and is_open and place >= self._pace.due:
             self._trial = self._begin(white_box, nodes, path, fit, sample.stamp_ns)
         if self._trial is None:
@@ -276,6 +280,19 @@ class FormChoice:
             self._memory.keep(_newest(nodes, path, new_count))
         if self._trial is not None and new_count > 0:
             self._trial.keep(_newest(nodes, path, new_count))
+
+    def _look_for_pauses(self, white_box: MotorWhiteBox, sample: Sample) -> None:
+        """Take a sample in doubt; what pauses tell for the first time begins a trial anew."""
+        is_new = self._standstills.add(
+            sample.stamp_ns,
+            float(sample.interval_s[0]),
+            float(sample.torque_nm[0]) / float(white_box.torque_constant),
+            float(sample.voltage_v[0]),
+        )
+        if is_new and self.may_take(FormKind(ROTOR, (VARYING_LOAD,))):
+            self._trial = None
+            self._budget.pieces = 0
+            self._pace.due = self._place
 
     def finish(self, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int) -> MotorForm | None:
         """Do what is left of a trial, for no samples will come; see :meth:`step`."""
@@ -310,6 +327,7 @@ class FormChoice:
             self._reasons.effects = outcome.reason
         self.kind = outcome.kind
         self._memory = None
+        self._standstills = Standstills()
         self._change_count = 0
         self._reasons.refusal = ''
         trial.hand_over(form, stamp_ns)
@@ -327,6 +345,7 @@ class FormChoice:
         """
         self._trial = None
         self._memory = None
+        self._standstills = Standstills()
         self._budget.pieces = 0
         self._change_count = 0
         self._place = int(nodes.replay.received[0])
@@ -367,7 +386,7 @@ class FormChoice:
     ) -> tuple[FormKind, ...]:
         """Return the forms to try; see :meth:`FormCandidates.instead`."""
         assert self._open is not None
-        candidates = FormCandidates(self.kind, self._open)
+        candidates = FormCandidates(self.kind, self._open, self._standstills.line)
         is_doubted = self._is_doubted(fit)
         return candidates.instead(fit, is_doubted=is_doubted, has_no_speed=has_no_speed)
 
@@ -415,6 +434,7 @@ class FormChoice:
             content,
             stamp_ns,
             before_a,
+            self._standstills.line,
         )
         return FormTrial(start, self._open)
 
@@ -451,9 +471,10 @@ class FormChoice:
             'largest_v': self._largest_v,
             'newest_v': self._newest_v,
         }
-        arrays: dict[str, Array] = {}
+        plain['standstills'], arrays = self._standstills.state()
         if self._memory is not None:
-            plain['memory'], arrays = self._memory.state()
+            plain['memory'], memory_arrays = self._memory.state()
+            arrays |= memory_arrays
         if self._trial is not None:
             plain['trial'], trial_arrays = self._trial.state(self._budget.pieces)
             arrays |= trial_arrays
@@ -513,6 +534,9 @@ class FormChoice:
         self._memory = None
         if 'memory' in plain:
             self._memory = TrialMemory.restored(group(plain, 'memory'), arrays, NEWEST)
+        self._standstills = Standstills()
+        if 'standstills' in plain:  # not in files of early releases
+            self._standstills = Standstills.restored(group(plain, 'standstills'), arrays)
         trial = group(plain, 'trial') if 'trial' in plain else {}
         assert self._open is not None
         is_stated = COASTING not in self._open.effects and _tries(trial, COASTING)

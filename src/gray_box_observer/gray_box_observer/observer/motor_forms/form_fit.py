@@ -11,15 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes import Estimate, RotorUpdate
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.speed_basis import leaves_much
-from gray_box_observer.fit_test.twin_effects import TOLD_APART
+from gray_box_observer.fit_test.twin_effects import LOST_VOLTAGE, TOLD_APART
 from gray_box_observer.observer.motor_forms.motor_form import FormKind, MotorForm
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.standstill import StandstillLine
 from gray_box_observer.observer.motor_forms.voltage_path import SETTLED, beyond_start
 from gray_box_observer.samples.replay_buffer import VOLTAGE
 from gray_box_observer.settings.motor_configuration import COASTING, DEAD_ZONE
@@ -97,11 +98,15 @@ class FormFitter:
     Args:
         open_forms: that the motor may take.
         stamp_ns: of the newest sample.
+        standstill: what pauses of the motor have told; None: nothing.
     """
 
-    def __init__(self, open_forms: OpenForms, stamp_ns: int) -> None:
+    def __init__(
+        self, open_forms: OpenForms, stamp_ns: int, standstill: StandstillLine | None = None
+    ) -> None:
         self._open = open_forms
         self._stamp_ns = stamp_ns
+        self._standstill = standstill
 
     def first(
         self, kind: FormKind, content: Array, before: MotorForm | None = None
@@ -116,10 +121,23 @@ class FormFitter:
             content: shape (signal, 1, n): the samples.
             before: the form that has learnt fewer of them, where it can go on; None: none has.
         """
-        form = self._open.make(kind) if before is None or not before.can_go_on else before
+        form = self._made(kind) if before is None or not before.can_go_on else before
         asks_speed = COASTING in kind.effects
         estimate = yield from form.learn_remembered(content, self._stamp_ns, asks_speed=asks_speed)
         return FormFit(kind, form, estimate)
+
+    def _made(self, kind: FormKind) -> MotorForm:
+        """Make a form; one with a load that varies knows what pauses have told.
+
+        A speed that follows the current looks like pauses, but there no load varies.
+        """
+        form = self._open.make(kind)
+        nodes = form.context_nodes
+        if self._standstill is not None and form.white_box.load_varies:
+            has_drop = LOST_VOLTAGE in form.white_box.context_nodes
+            if isinstance(nodes, RotorUpdate) and has_drop == self._standstill.has_drop:
+                nodes.recall(self._standstill.known)
+        return form
 
     def again(
         self,

@@ -57,7 +57,7 @@ samples are to come. The third is that of all others.
 LOSS_WORK = 6144
 """The same of a loss of voltage beside a load that varies."""
 
-ORDER = 2
+ORDER = 3
 """Of the comparisons: a trial that was saved with another one cannot go on."""
 
 CATCH_UP, WORK_A_CATCH = 64, 3072
@@ -88,11 +88,18 @@ class FormTrial:
     ) -> None:
         self._start = start
         self._open = open_forms
-        self._fitter = FormFitter(open_forms, start.stamp_ns)
+        self._fitter = FormFitter(open_forms, start.stamp_ns, start.standstill)
         lags = LagSearch(self._fitter, open_forms)
         self._comparison = FormComparison(start, open_forms, lags)
         self._search = EffectSearch(self._fitter, lags, open_forms, start.kind)
-        self._loads = LoadSearch(self._fitter, self._search, open_forms, start.kind, start.content)
+        self._loads = LoadSearch(
+            self._fitter,
+            self._search,
+            open_forms,
+            start.kind,
+            start.content,
+            knows_resistance=start.standstill is not None,
+        )
         self._misfits: dict[FormKind, FormFit] = {}  # of candidates
         self._fewest_misfit = start.content.shape[2]  # samples that a rotor did not explain
         self._load_fit: FormFit | None = None  # the newest one with a load that varies
@@ -247,7 +254,11 @@ class FormTrial:
     @property
     def _leaves_much(self) -> bool:
         """Whether a rotor, or the form in force, leaves what something else has to explain."""
-        return bool(self._failures) or self._comparison.leaves_much
+        return (
+            bool(self._failures)
+            or self._comparison.leaves_much
+            or self._start.standstill is not None
+        )
 
     @property
     def _has_load(self) -> bool:

@@ -71,6 +71,7 @@ class LoadSearch:
         open_forms: that the motor may take.
         in_force: the form that has failed.
         content: shape (signal, 1, n): the samples.
+        knows_resistance: whether pauses have told it: then the fewest samples are not asked.
     """
 
     def __init__(
@@ -80,11 +81,17 @@ class LoadSearch:
         open_forms: OpenForms,
         in_force: FormKind,
         content: Array,
+        *,
+        knows_resistance: bool = False,
     ) -> None:
         self._fitter = fitter
         self._effects = effects
         self._open = open_forms
         self._content = content
+        self._looks = newest_looks(content, growth=LAST_LOOK)
+        if knows_resistance:
+            self._looks = self._looks[-2:]
+        self._knows_resistance = knows_resistance
         has_failed = in_force.source == ROTOR and not SHAFT_EFFECTS.isdisjoint(in_force.effects)
         self._may_stand = not has_failed
 
@@ -102,17 +109,18 @@ class LoadSearch:
             The fit that explains all samples, or the newest one, a misfit; None where that takes
             too much work.
         """
-        form = self._open.make(kind)
+        form = None
         fit = None
         may_stand = self._may_stand
-        for part in newest_looks(self._content, growth=LAST_LOOK):
+        for part in self._looks:
             work = self._fitter.first(kind, part, form)
             fit = yield from bounded(work, LOOK_WORK * part.shape[2])
             if fit is None or fit.is_misfit:
                 break
             form = fit.form
             is_last = part.shape[2] == self._content.shape[2]
-            if may_stand and (is_last or fit.tells('resistance')):
+            is_told = fit.tells('resistance') and not self._knows_resistance
+            if may_stand and (is_last or is_told):
                 may_stand = False
                 most = TOLD_LOAD_WORK * self._content.shape[2]
                 other = yield from bounded(self._stand_in(fit, fewest), most)

@@ -12,6 +12,7 @@ from gray_box_observer.context_nodes.rotor.window_learner import FEWEST_MOVES
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.observer.motor_forms.motor_form import ROTOR, FormKind
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.standstill import StandstillLine
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     LATEST_NS,
@@ -49,6 +50,7 @@ class TrialStart:
         content: shape (signal, 1, n): samples that it rests on.
         stamp_ns: of the newest of them.
         before_a: root mean square in A of the residual that the form in force leaves of them.
+        standstill: what pauses of the motor have told; None: nothing.
     """
 
     kind: FormKind
@@ -58,6 +60,7 @@ class TrialStart:
     content: Array
     stamp_ns: int
     before_a: float
+    standstill: StandstillLine | None = None
 
     @property
     def sample_count(self) -> int:
@@ -69,6 +72,7 @@ class TrialStart:
         plain = {
             'stamp_ns': self.stamp_ns,
             'before_a': self.before_a if math.isfinite(self.before_a) else None,
+            'standstill': None if self.standstill is None else self.standstill.state(),
             'candidates': [
                 [kind.source, *kind.effects, *_numbers_of(kind)] for kind in self.candidates
             ],
@@ -102,6 +106,9 @@ class TrialStart:
         if not Window.from_samples(white_box, arrays[_TRIAL][:, 0]).moves:
             raise CheckpointError(f'{_TRIAL} holds samples that no trial begins with')
         before_a = number_or_none(plain, 'before_a', 0.0, LARGEST)
+        standstill = None
+        if entry(plain, 'standstill') is not None:
+            standstill = StandstillLine.restored(plain, 'standstill')
         return cls(
             kind,
             _saved_candidates(plain, kind, open_forms),
@@ -110,6 +117,7 @@ class TrialStart:
             with_moves(arrays[_TRIAL]),
             whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS),
             math.inf if before_a is None else before_a,
+            standstill,
         )
 
 
