@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,12 +60,14 @@ class Conditions:
         rate_hz: of controller and samples.
         noise: standard deviation of that of the current, over that of the current.
         has_speed: whether the observer is told the speed.
+        pauses: whether it rests behind every move: nothing integrates its error there.
     """
 
     follows_angle: bool
     rate_hz: float
     noise: float
     has_speed: bool
+    pauses: bool = False
 
 
 def draw_joint(rng: np.random.Generator) -> Joint:
@@ -98,6 +100,26 @@ def draw_joint(rng: np.random.Generator) -> Joint:
         static_friction,
         shares.get(load, 0.0) * stall_nm,
         fan if load == 'fan' else 0.0,
+    )
+
+
+def draw_arm(rng: np.random.Generator) -> Joint:
+    """Draw a joint under gravity, which takes 5 to 25 % of the torque at stall."""
+    joint = draw_joint(rng)
+    stall_nm = joint.motor.torque_constant * joint.supply_v / joint.motor.resistance
+    return replace(
+        joint, load='gravity', load_torque_nm=rng.uniform(0.05, 0.25) * stall_nm, fan_nm_s2=0.0
+    )
+
+
+def draw_pausing(rng: np.random.Generator) -> Conditions:
+    """Draw how an arm is measured that rests behind every move, its speed unmeasured."""
+    return Conditions(
+        follows_angle=True,
+        rate_hz=float(rng.choice([500.0, 1000.0])),
+        noise=float(rng.choice([0.003, 0.01])),
+        has_speed=False,
+        pauses=True,
     )
 
 

@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from common.joints.bristle_friction import BristleFriction
-from common.joints.drawn_joints import Conditions, Joint, draw_conditions, draw_joint
+from common.joints.drawn_joints import (
+    Conditions,
+    Joint,
+    draw_arm,
+    draw_conditions,
+    draw_joint,
+    draw_pausing,
+)
 from common.joints.joint_control import Controller, Trapezoid
 from common.motion import FloatArray
 from common.trust.effects import STAMP_0_NS, Readings
@@ -23,6 +30,7 @@ BRUSH_DROP_V = (0.2, 1.0)
 
 SAMPLES = 8000
 LONGEST_S = 20.0
+ARM_S = 40.0
 STEP_S = 1e-4
 
 
@@ -32,7 +40,9 @@ def simulate(
     """Move a joint; return voltage, current and speed at the samples, shape (sample,) each."""
     motor = joint.motor
     size = min(SAMPLES, round(LONGEST_S * conditions.rate_hz))
-    trapezoid = Trapezoid(joint, rng)
+    if conditions.pauses:
+        size = round(ARM_S * conditions.rate_hz)
+    trapezoid = Trapezoid(joint, conditions, rng)
     controller = Controller(joint, conditions, trapezoid)
     substeps = max(1, round(1.0 / (conditions.rate_hz * STEP_S)))
     step_s = 1.0 / (conditions.rate_hz * substeps)
@@ -69,19 +79,20 @@ def simulate(
     return signals[0], signals[1], signals[2]
 
 
-def joint_record(seed: int, *, has_brushes: bool = False) -> Record:
+def joint_record(seed: int, *, has_brushes: bool = False, is_arm: bool = False) -> Record:
     """Draw a joint, move it, and return what its user has: the two constants beside the log.
 
     Args:
         seed: of the joint.
         has_brushes: whether its brushes drop a voltage.
+        is_arm: whether it is an arm that rests behind every move.
     """
     rng = np.random.default_rng([20_000, seed])
-    joint = draw_joint(rng)
+    joint = draw_arm(rng) if is_arm else draw_joint(rng)
     if has_brushes:
         drop_v = np.random.default_rng([20_001, seed]).uniform(*BRUSH_DROP_V)
         joint = replace(joint, motor=replace(joint.motor, brush_drop=float(drop_v)))
-    conditions = draw_conditions(rng)
+    conditions = draw_pausing(rng) if is_arm else draw_conditions(rng)
     motor = joint.motor
     volt, current, speed = simulate(joint, conditions, rng)
     measured_a = current + conditions.noise * current.std() * rng.standard_normal(current.size)

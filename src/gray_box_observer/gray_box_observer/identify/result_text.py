@@ -110,7 +110,9 @@ def _lines(motor: Mapping[str, Any], steps: Sequence[str] = ()) -> list[str]:
     lines = aligned(rows, RIGHT)
     sentences = [('speed from', f'{motor["speed_source"]}: {motor["speed_source_reason"]}')]
     if motor.get('effects'):
-        effects_text = f'{", ".join(motor["effects"])}: {motor["effects_reason"]}'
+        effects_text = ', '.join(motor['effects'])
+        if motor['effects_reason'] != motor['speed_source_reason']:
+            effects_text += f': {motor["effects_reason"]}'
         sentences.append(('effects added', effects_text))
     if 'delay_s' in motor:
         sentences.append(('delay', _delay_words(motor['delay_s'])))

@@ -167,8 +167,8 @@ def test_what_no_pauses_can_have_left_is_refused(key: str, absurd: object) -> No
 def test_a_line_is_saved() -> None:
     line = StandstillLine(2.0, 0.01, 0.5, 0.02)
     assert StandstillLine.restored({'line': line.state()}, 'line') == line
-    assert set(line.known) == {'resistance', 'brush_drop'}
-    assert set(StandstillLine(2.0, 0.01).known) == {'resistance'}
+    assert set(line.beliefs) == {'resistance', 'brush_drop'}
+    assert set(StandstillLine(2.0, 0.01).beliefs) == {'resistance'}
 
 
 ARM = replace(GEAR_MOTOR, coulomb_friction=4e-3, brush_drop=0.6)

@@ -50,16 +50,16 @@ class LoadedLearner(WindowLearner):
         super().__init__(white_box, initial, initial_relative_std, drift_threshold)
         self._agreement = WindowAgreement(self.logarithms.size)
 
-    def recall(self, known: Mapping[str, tuple[float, float]]) -> None:
+    def recall(self, beliefs: Mapping[str, tuple[float, float]]) -> None:
         """Begin with what is known before any window, as if windows had told it.
 
         Args:
-            known: value and relative standard deviation, by context node; others are left out.
+            beliefs: value and relative standard deviation, by context node; others are left out.
         """
         nodes = self._white_box.context_nodes
         mean = self.logarithms.copy()
         precision = np.zeros_like(self.covariance)
-        for name, (value, std) in known.items():
+        for name, (value, std) in beliefs.items():
             if name in nodes:
                 place = nodes.index(name)
                 mean[place] = np.log(np.clip(value, self._lower[place], self._upper[place]))
@@ -106,9 +106,9 @@ class LoadedLearner(WindowLearner):
             self._agreement.note_explained()
         if memory is None:
             return
-        known = self._data_sheet.precision + memory.precision
-        before = np.diagonal(symmetric_inverse(known))
-        behind = np.diagonal(symmetric_inverse(known + fit.fit.information))
+        precision = self._data_sheet.precision + memory.precision
+        before = np.diagonal(symmetric_inverse(precision))
+        behind = np.diagonal(symmetric_inverse(precision + fit.fit.information))
         variance = np.maximum(before - behind, 0.0) + fit.open_std**2
         is_remembered = np.diagonal(memory.precision) > 0.0
         move = self.logarithms - memory.mean
@@ -120,8 +120,8 @@ class LoadedLearner(WindowLearner):
         if len(starts) == 1:
             starts = [*starts, *weak_starts(self._white_box, window)]
         if self.memory is not None and self._is_first:
-            known = np.diagonal(self.memory.precision) > 0.0
-            starts = [np.where(known, np.exp(self.memory.mean), start) for start in starts]
+            is_believed = np.diagonal(self.memory.precision) > 0.0
+            starts = [np.where(is_believed, np.exp(self.memory.mean), start) for start in starts]
         return self._noted((yield from fit_loaded(self._white_box, window, prior, starts)))
 
     def _fitted_again(self, window: Window) -> Pieces[Fit | None]:

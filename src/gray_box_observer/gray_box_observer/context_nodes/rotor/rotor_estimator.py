@@ -388,14 +388,14 @@ class RotorUpdate:
         """
         self._learner.begin_at(theta[0], searches_elsewhere=searches_elsewhere)
 
-    def recall(self, known: Mapping[str, tuple[float, float]]) -> None:
+    def recall(self, beliefs: Mapping[str, tuple[float, float]]) -> None:
         """Begin with what the motor has told before any window; its load has to vary.
 
         Args:
-            known: value and relative standard deviation, by context node; others are left out.
+            beliefs: value and relative standard deviation, by context node; others are left out.
         """
         assert isinstance(self._learner, LoadedLearner)
-        self._learner.recall(known)
+        self._learner.recall(beliefs)
 
     def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing else may have been learnt before.

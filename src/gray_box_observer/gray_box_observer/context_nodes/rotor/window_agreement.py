@@ -55,9 +55,9 @@ class WindowAgreement:
         square = np.square(move) / np.where(was_known, variance, 1.0)
         self._newest = np.where(was_known, np.minimum(square, LARGEST_SQUARE), 1.0)
         if is_full:
-            kept = np.where(was_known, FORGETTING, 1.0)
-            self._squares = kept * self._squares + np.where(was_known, self._newest, 0.0)
-            self._counts = kept * self._counts + was_known
+            share = np.where(was_known, FORGETTING, 1.0)
+            self._squares = share * self._squares + np.where(was_known, self._newest, 0.0)
+            self._counts = share * self._counts + was_known
             self._newest = np.ones_like(self._newest)
 
     def note_change(self, move: Array) -> None:

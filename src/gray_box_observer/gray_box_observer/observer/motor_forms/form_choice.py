@@ -173,13 +173,20 @@ class FormChoice:
     @property
     def reason(self) -> str:
         """Why the speed comes from there; in doubt, why it does not come from elsewhere."""
-        return (self._reasons.refusal if self.speed_is_open else '') or self._reasons.source
+        return (self._refusal if self.speed_is_open else '') or self._reasons.source
 
     @property
     def effects_reason(self) -> str:
         """Why these effects were added; in doubt, why no others are."""
         is_open = self._open is not None and bool(self._open.effects)
-        return (self._reasons.refusal if is_open else '') or self._reasons.effects
+        return (self._refusal if is_open else '') or self._reasons.effects
+
+    @property
+    def _refusal(self) -> str:
+        """In doubt, why no other form is in force, and what pauses tell all the same; else empty."""
+        line = self._standstills.line
+        pauses = '' if line is None else f'; {line.in_words}'
+        return self._reasons.refusal and self._reasons.refusal + pauses
 
     @property
     def is_open(self) -> bool:

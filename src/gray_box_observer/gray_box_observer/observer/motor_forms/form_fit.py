@@ -136,7 +136,7 @@ class FormFitter:
         if self._standstill is not None and form.white_box.load_varies:
             has_drop = LOST_VOLTAGE in form.white_box.context_nodes
             if isinstance(nodes, RotorUpdate) and has_drop == self._standstill.has_drop:
-                nodes.recall(self._standstill.known)
+                nodes.recall(self._standstill.beliefs)
         return form
 
     def again(

@@ -58,10 +58,13 @@ LEAST_NOISE = 1e-3
 """Noise of a signal, as a share of its largest value, at least: less is rounding."""
 
 MOST_PAUSES = 64
-"""The newest that are remembered: two million pairs of samples would tell no more."""
+"""The newest that are remembered: those of before an hour tell of a colder winding."""
 
 FEWEST_PAUSES = 8
 """Pauses on the line from which it is believed."""
+
+LEAST_AREA = 0.1
+"""Difference of two currents over the largest one, at least, through which a line is laid."""
 
 LONG = 8.0
 """Blocks of a pause that count."""
@@ -129,10 +132,19 @@ class StandstillLine:
         return self.drop_v > 0.0
 
     @property
-    def known(self) -> dict[str, tuple[float, float]]:
+    def beliefs(self) -> dict[str, tuple[float, float]]:
         """Value and relative standard deviation of what is told, by its context node."""
-        known = {'resistance': (self.resistance_ohm, self.resistance_std)}
-        return known | ({LOST_VOLTAGE: (self.drop_v, self.drop_std)} if self.has_drop else {})
+        beliefs = {'resistance': (self.resistance_ohm, self.resistance_std)}
+        if self.has_drop:
+            beliefs[LOST_VOLTAGE] = (self.drop_v, self.drop_std)
+        return beliefs
+
+    @property
+    def in_words(self) -> str:
+        """What it tells, for people."""
+        drop = f' and a brush drop of {self.drop_v:.3g} V' if self.has_drop else ''
+        resistance = f'{self.resistance_ohm:.4g} ohm (to {100.0 * self.resistance_std:.1g} %)'
+        return f'where the motor stands still, voltage and current say R = {resistance}{drop}'
 
     def state(self) -> list[float]:
         """Everything, as plain values."""
@@ -358,16 +370,17 @@ def _most_in_line(columns: Array, voltage: Array, weight: Array, near_v: float) 
         near_v: distance from the line of what lies on it.
     """
     one, other = np.triu_indices(voltage.size, 1)
-    first, second = columns[one], columns[other]
-    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    apart = np.abs(area) > 0.1 * np.abs(columns[:, 0]).max()
-    one, other, area = one[apart], other[apart], area[apart]
-    first, second = first[apart], second[apart]
-    resistance = (voltage[one] * second[:, 1] - voltage[other] * first[:, 1]) / area
-    drop_v = (first[:, 0] * voltage[other] - second[:, 0] * voltage[one]) / area
-    rest_v = np.abs(voltage - resistance[:, None] * columns[:, 0] - drop_v[:, None] * columns[:, 1])
-    near = rest_v < near_v
-    near[(resistance <= 0.0) | (drop_v < -near_v)] = False
-    if not near.size:
+    current, sign = columns.T
+    area = current[one] * sign[other] - sign[one] * current[other]
+    is_apart = np.abs(area) > LEAST_AREA * np.abs(current).max()
+    one = one[is_apart]
+    other = other[is_apart]
+    area = area[is_apart]
+    resistance = (voltage[one] * sign[other] - voltage[other] * sign[one]) / area
+    drop_v = (current[one] * voltage[other] - current[other] * voltage[one]) / area
+    rest_v = np.abs(voltage - resistance[:, None] * current - drop_v[:, None] * sign)
+    is_near = rest_v < near_v
+    is_near[(resistance <= 0.0) | (drop_v < -near_v)] = False
+    if not is_near.size:
         return np.zeros(voltage.size, dtype=bool)
-    return np.asarray(near[int(np.argmax(near @ weight))])
+    return np.asarray(is_near[int(np.argmax(is_near @ weight))])
