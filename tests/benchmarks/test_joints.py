@@ -7,6 +7,7 @@ from dataclasses import replace
 import joints
 import numpy as np
 import pytest
+from common.joints import joint_records
 from common.joints.bristle_friction import BristleFriction
 from common.joints.drawn_joints import Conditions, Joint, draw_joint
 from common.joints.joint_records import joint_record, simulate
@@ -77,13 +78,33 @@ def test_a_record_says_what_its_user_knows_and_what_is_true() -> None:
     assert np.array_equal(record.torque_nm, again.torque_nm)
 
 
+def test_an_arm_rests_behind_its_moves_where_gravity_holds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing integrates its error: the voltage stays, and holds no other one than R i + V_b."""
+    monkeypatch.setattr(joint_records, 'ARM_S', 8.0)
+    record = joint_record(11, has_brushes=True, is_arm=True)
+    readings = record.readings
+    assert not record.scenario.speed
+    assert record.scenario.name == 'gravity'
+    voltage = readings.voltage_v[:7998].reshape(-1, 31)
+    current = readings.current_a[1:7999].reshape(-1, 31)
+    rests = np.ptp(voltage, axis=1) < 4e-3 * np.abs(voltage).max()
+    assert 0.2 < rests.mean() < 0.8
+    level_a = current[rests].mean(axis=1)
+    drop_v = record.truth['brush_drop'] * np.sign(level_a)
+    rest_v = voltage[rests].mean(axis=1) - record.truth['resistance'] * level_a - drop_v
+    assert np.median(np.abs(rest_v)) < 2e-3 * np.abs(voltage).max()
+    assert np.unique(level_a.round(1)).size > 4
+
+
 def test_rows_and_figures_count_joints() -> None:
     known = Trial('fan', 1, verdicts={'resistance': 'identified'}, errors={'resistance': 0.01})
     false = replace(
         known, false_at_end=['resistance'], false_longest_s=2.0, effects=['varying_load']
     )
     trials = [joints.JointTrial('fan', True, known), joints.JointTrial('fan', True, false)]
-    assert joints.rows(trials)[3] == ['speed measured, load: fan', *'212001011']
+    assert joints.rows(trials) == [['speed measured, load: fan', *'212001011']]
     values = {figure.name: figure.value for figure in joints.figures(trials)}
     assert values['  R identified and right, in %'] == 50.0
     assert values['  false at the end, in %'] == 50.0
