@@ -149,6 +149,24 @@ def test_a_window_that_says_other_than_those_before_widens_the_deviation() -> No
 
 
 @pytest.mark.slow
+def test_what_was_told_before_any_window_is_remembered_and_no_more_than_that() -> None:
+    """Resistance that pauses have told, of which the first window tells little."""
+    window = Window.from_samples(VARYING, signals_of(samples_of(loaded())[:300]))
+    place = VARYING.context_nodes.index('resistance')
+    results = []
+    for beliefs in ({}, {'resistance': (THETA[place], 0.005), 'brush_drop': (0.5, 0.01)}):
+        learner = LoadedLearner(VARYING, INITIAL, None, drift_threshold=1e9)
+        if beliefs:
+            learner.recall(beliefs)
+            assert learner._prior_anywhere().precision[place, place] > 0.9 * 0.005**-2
+        completed(learner.learn(window, is_full=False))
+        assert learner._prior_anywhere() is learner._data_sheet
+        results.append(float(np.sqrt(learner.covariance[place, place])))
+    assert results[1] < 0.5 * results[0]
+    assert learner.theta[place] == pytest.approx(THETA[place], rel=0.02)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize('cut', [700, 2300])
 def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
     samples = samples_of(loaded())

@@ -14,6 +14,7 @@ from gray_box_observer.observer.motor_forms.motor_form import (
     FormKind,
 )
 from gray_box_observer.observer.motor_forms.open_forms import OpenForms
+from gray_box_observer.observer.motor_forms.standstill import StandstillLine
 from gray_box_observer.settings.motor_configuration import VARYING_LOAD
 
 BRUSHES = FormKind(ROTOR, ('brush_drop',))
@@ -47,6 +48,19 @@ def test_one_that_lacks_something_else_is_asked_for_it_last() -> None:
 @pytest.mark.parametrize('ratio', [1.3, float('nan')])
 def test_one_that_fails_by_little_is_asked_for_it_last(ratio: float) -> None:
     assert candidates_of(BRUSHES, ('load', 900.0), ratio=ratio)[-1] == LOADED
+
+
+@pytest.mark.parametrize('kind', [FormKind(THESIS), BRUSHES, BRUSHES.with_effect('hysteresis')])
+@pytest.mark.parametrize('drop_v', [0.0, 0.5])
+def test_a_load_with_the_brushes_that_pauses_tell_comes_first(
+    kind: FormKind, drop_v: float
+) -> None:
+    line = StandstillLine(2.0, 0.01, drop_v, 0.02 if drop_v else 0.0)
+    fit = FitAssessment(FitVerdict.MISFIT, 30.0, 900.0, (), 2048)
+    candidates = FormCandidates(kind, OPEN, line).instead(fit, is_doubted=True)
+    loss = ('brush_drop',) if drop_v else ()
+    assert candidates[0] == FormKind(ROTOR, (VARYING_LOAD, *loss))
+    assert not any(VARYING_LOAD in one.effects for one in candidates[1:])
 
 
 @pytest.mark.parametrize('kind', [LOADED, LOADED.without('brush_drop')])

@@ -39,6 +39,7 @@ class LoadedLearner(WindowLearner):
 
     walk = 0.0
     _newest_fit: LoadedFit | None = None  # of the fit under way
+    _is_recalled = False  # what is known was told before any window
 
     def __init__(
         self,
@@ -66,21 +67,18 @@ class LoadedLearner(WindowLearner):
                 precision[place, place] = std**-2.0
         self.logarithms = mean
         self.memory = LogPrior(mean, precision)
-
-    @property
-    def _is_first(self) -> bool:
-        """Whether windows have told nothing yet."""
-        return self.counts['fits'] == 0 and not self.is_settled
+        self._is_recalled = True
 
     def _prior_anywhere(self) -> LogPrior:
         """What is known before the first window is no motor that has changed."""
-        return self._prior() if self._is_first else self._data_sheet
+        return self._prior() if self._is_recalled else self._data_sheet
 
     def learn(self, window: Window, *, is_full: bool) -> Pieces[bool]:
         """Fit a window; see :meth:`WindowLearner.learn`."""
         self._newest_fit = None
         memory = self.memory
         has_fit = yield from super().learn(window, is_full=is_full)
+        self._is_recalled = self._is_recalled and not has_fit
         if has_fit and self._newest_fit is not None:
             fit = self._newest_fit
             self.walk = fit.walk
@@ -119,7 +117,7 @@ class LoadedLearner(WindowLearner):
     ) -> Pieces[Fit | None]:
         if len(starts) == 1:
             starts = [*starts, *weak_starts(self._white_box, window)]
-        if self.memory is not None and self._is_first:
+        if self.memory is not None and self._is_recalled:
             is_believed = np.diagonal(self.memory.precision) > 0.0
             starts = [np.where(is_believed, np.exp(self.memory.mean), start) for start in starts]
         return self._noted((yield from fit_loaded(self._white_box, window, prior, starts)))

@@ -183,7 +183,7 @@ class FormChoice:
 
     @property
     def _refusal(self) -> str:
-        """In doubt, why no other form is in force, and what pauses tell all the same; else empty."""
+        """In doubt, why no other form is in force, and what pauses tell; else empty."""
         line = self._standstills.line
         pauses = '' if line is None else f'; {line.in_words}'
         return self._reasons.refusal and self._reasons.refusal + pauses

@@ -134,7 +134,7 @@ class FormFitter:
         form = self._open.make(kind)
         nodes = form.context_nodes
         if self._standstill is not None and form.white_box.load_varies:
-            has_drop = LOST_VOLTAGE in form.white_box.context_nodes
+            has_drop = form.white_box.values(nodes.theta[0]).get(LOST_VOLTAGE, 0.0) > 0.0
             if isinstance(nodes, RotorUpdate) and has_drop == self._standstill.has_drop:
                 nodes.recall(self._standstill.beliefs)
         return form
