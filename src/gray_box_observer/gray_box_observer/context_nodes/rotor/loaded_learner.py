@@ -91,9 +91,9 @@ class LoadedLearner(WindowLearner):
         return has_fit
 
     def _compare(self, fit: LoadedFit, memory: LogPrior | None, *, is_full: bool) -> None:
-        """Compare a window with those before it.
+        """Compare a window with those before it; of memories that it contradicts less is left.
 
-        A load that is no random walk moves each of them.
+        So a winding that warms is followed. A load that is no random walk moves every window.
 
         Args:
             fit: of the window.
@@ -107,10 +107,15 @@ class LoadedLearner(WindowLearner):
         precision = self._data_sheet.precision + memory.precision
         before = np.diagonal(symmetric_inverse(precision))
         behind = np.diagonal(symmetric_inverse(precision + fit.fit.information))
-        variance = np.maximum(before - behind, 0.0) + fit.open_std**2
+        gain = 1.0 - np.minimum(behind / before, 1.0)
+        variance = gain * before + (gain * fit.open_std) ** 2
         is_remembered = np.diagonal(memory.precision) > 0.0
         move = self.logarithms - memory.mean
         self._agreement.add(move, np.where(is_remembered, variance, 0.0), is_full=is_full)
+        if is_full and self.memory is not None:
+            ratio = self._agreement.ratio
+            precision = self.memory.precision / np.outer(ratio, ratio)
+            self.memory = LogPrior(self.memory.mean, precision)
 
     def _fitted(
         self, window: Window, prior: LogPrior, starts: Sequence[Array]

@@ -16,8 +16,8 @@ import numpy as np
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
 from gray_box_observer.white_box.interface import Array
 
-FORGETTING = 0.98
-"""Share of the earlier moves that a full window leaves, as of what they have told."""
+FORGETTING = 0.9
+"""Share of the earlier moves that a full window leaves: ten windows tell whether they agree."""
 
 AGREEING = 16
 """Full windows that have to agree with a motor that was found changed.
