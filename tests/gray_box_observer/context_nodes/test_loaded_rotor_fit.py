@@ -149,6 +149,24 @@ def test_a_window_that_says_other_than_those_before_widens_the_deviation() -> No
 
 
 @pytest.mark.slow
+def test_a_memory_that_windows_contradict_fades_until_they_are_followed() -> None:
+    """As a winding that warms: without that R would still be 2.6 % off."""
+    window = Window.from_samples(VARYING, signals_of(samples_of(loaded())[:1024]))
+    place = VARYING.context_nodes.index('resistance')
+    learner = LoadedLearner(VARYING, INITIAL, None, drift_threshold=1e9)
+    completed(learner.learn(window, is_full=True))
+    resistance = learner.theta[place]
+    assert learner.memory is not None
+    mean = learner.memory.mean.copy()
+    mean[place] += 0.03
+    learner.memory = LogPrior(mean, 30.0 * learner.memory.precision)
+    for _ in range(8):
+        completed(learner.learn(window, is_full=True))
+    assert learner.theta[place] == pytest.approx(resistance, rel=0.005)
+    assert learner.counts['motor changes'] == 0
+
+
+@pytest.mark.slow
 def test_what_was_told_before_any_window_is_remembered_and_no_more_than_that() -> None:
     """Resistance that pauses have told, of which the first window tells little."""
     window = Window.from_samples(VARYING, signals_of(samples_of(loaded())[:300]))
