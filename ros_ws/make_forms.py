@@ -23,7 +23,7 @@ import sympy
 from sympy.printing.pycode import PythonCodePrinter
 from written_c import Each, Loop, Written, braces, plain, sign, statements, wrapped
 
-from gray_box_observer.white_box import declaration, flow
+from gray_box_observer.white_box import declaration, flow, motion
 from gray_box_observer.white_box.balance import Balance, Form
 from gray_box_observer.white_box.declaration import (
     COMPILED,
@@ -137,10 +137,10 @@ def python_forms(fingerprint: int, whole_motor: int) -> str:
     for name, term in TERMS.items():
         lines += _form(f"'{name}'", term.formula) if term.formula else []
     lines += ['}', '"""Effects by the names of their coefficients."""', '']
-    lines += ['WHOLE_MOTOR_EFFECTS: dict[str, Form] = EFFECTS | {']
+    lines += ['SHARP_EFFECTS: dict[str, Form] = EFFECTS | {']
     for name, term in TERMS.items():
         lines += _form(f"'{name}'", term.sharp_formula) if term.sharp_formula else []
-    lines += ['}', '"""The same of a motor with a rotor."""', '']
+    lines += ['}', '"""The same where the speed is a signal or a state."""', '']
     lines += ['DRIVES: dict[State, Form | None] = {']
     for state, formula in DRIVES.items():
         key = f'State.{state.name}'
@@ -249,6 +249,10 @@ def c_forms() -> str:
     lines += ['#include "white_box/physics.h"', '', '/* Whether there is a term of this code. */']
     lines += ['static inline int term_known(int64_t code)']
     lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
+    holding = [name.upper() for name, term in compiled.items() if term.holds_current]
+    lines += ['/* Whether a term may hold the current where it changes its sign. */']
+    lines += ['static inline int term_holds_current(int64_t code)']
+    lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in holding)};']), '']
     for name, argument, expression, description in relations():
         lines += [f'/* {description} */']
         lines += [
@@ -287,7 +291,7 @@ def c_forms() -> str:
         '    const Terms of, const Real *start, const Linear *here, Real length)',
         *braces(['Linear linear;', *_exponential_step(), 'return linear;']),
         '',
-        '/* flow.py, joined. */',
+        '/* motion.py, joined. */',
     ]
     lines += ['INLINE Linear joined(const Terms of, const Linear *first, const Linear *then)']
     return '\n'.join([*lines, *braces(['Linear linear;', *_joined(), 'return linear;'])])
@@ -338,10 +342,10 @@ def _rate() -> list[str]:
 
 def _runge_kutta_step() -> list[str]:
     names = ('voltage', 'speed', 'end_speed', 'length')
-    interval = flow.Interval(*(Written(f'over->{name}') for name in names))  # type: ignore[arg-type]
+    interval = motion.Interval(*(Written(f'over->{name}') for name in names))  # type: ignore[arg-type]
     number = iter(range(2, 5))
 
-    def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
+    def rate_at(states: Sequence[Written], speed: Written) -> motion.Linear:
         name = f'r{next(number)}'
         places = ', '.join(f'{{{state}}}' for state in COMPILED)
         call = (
@@ -361,24 +365,24 @@ def _exponential_step() -> list[str]:
     start: Any = [Written(f'start[{state.name}]') for state in COMPILED]
     none: Any = Written('0.0')
     length: Any = Written('length')
-    interval = flow.Interval(none, none, none, length)
+    interval = motion.Interval(none, none, none, length)
     step = flow._exponential_step(_Functions, _no_rate, start, _linear('here->'), interval)
     return _stored(step, ['j'])
 
 
-def _no_rate(states: Sequence[Any], speed: Any) -> flow.Linear:
+def _no_rate(states: Sequence[Any], speed: Any) -> motion.Linear:
     raise NotImplementedError  # an exponential step asks for none but that at its start
 
 
 def _joined() -> list[str]:
-    return _stored(flow.joined(_linear('first->'), _linear('then->')), ['j'])
+    return _stored(motion.joined(_linear('first->'), _linear('then->')), ['j'])
 
 
 def _linear(
     name: str, states: Sequence[State] = COMPILED, every: Loop = COORDINATES
-) -> flow.Linear:
+) -> motion.Linear:
     """A rate or a motion that stands in a variable."""
-    return flow.Linear(
+    return motion.Linear(
         [Written(f'{name}value[{s.name}]') for s in states],
         [[Written(f'{name}by_state[{s.name}][{r.name}]') for r in states] for s in states],
         [Written(f'{name}by_coordinate[{s.name}][j]', every=every) for s in states],
@@ -386,7 +390,7 @@ def _linear(
 
 
 def _stored(
-    linear: flow.Linear, places: Sequence[int | str], states: Sequence[State] = COMPILED
+    linear: motion.Linear, places: Sequence[int | str], states: Sequence[State] = COMPILED
 ) -> list[str]:
     """Statements that work out a rate or a motion."""
     results = []
@@ -441,7 +445,7 @@ class _WholeMotor:
         )
 
 
-def _written_out(name: str, *made: Written) -> flow.Linear:
+def _written_out(name: str, *made: Written) -> motion.Linear:
     """A rate whose derivatives by coordinates are written out: each stands in one balance only."""
     forced: list[Any] = [
         Each(
@@ -453,7 +457,7 @@ def _written_out(name: str, *made: Written) -> flow.Linear:
         for state in State
     ]
     rate = _linear(name, tuple(State), EVERY_TERM)
-    return flow.Linear(
+    return motion.Linear(
         [Written(entry.text, made) for entry in rate.value],
         [[Written(entry.text, made) for entry in row] for row in rate.by_state],
         forced,
@@ -467,10 +471,10 @@ def whole_motor_form() -> str:
     box: Any = _WholeMotor()
     coefficients: Any = {place: Written(f'p[{place}]') for place in every}
     rate = flow.rate(_Functions, box, coefficients, states, Written('voltage'), None)
-    interval = flow.Interval(*(Written(name) for name in ('voltage', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
+    interval = motion.Interval(*(Written(name) for name in ('voltage', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
     number = iter(range(2, 5))
 
-    def rate_at(at: Sequence[Written], speed: Written) -> flow.Linear:
+    def rate_at(at: Sequence[Written], speed: Written) -> motion.Linear:
         name = f'r{next(number)}'
         places = ', '.join(f'{{{state}}}' for state in State)
         call = (
@@ -483,7 +487,7 @@ def whole_motor_form() -> str:
     by_runge_kutta = flow.runge_kutta_step(rate_at, start, _written_out('here->'), interval)
     begin: Any = start
     exponential = flow._exponential_step(_Functions, rate_at, begin, here, interval)
-    both = flow.joined(
+    both = motion.joined(
         *(_linear(f'{name}->', tuple(State), EVERY_TERM) for name in ('first', 'then'))
     )
     step = (
@@ -512,19 +516,19 @@ def whole_motor_form() -> str:
     for name, (arguments, made) in functions.items():
         places = list(coefficients) if isinstance(made.by_coordinate[0], Each) else ['j']
         body = _stored(made, places, tuple(State))
-        lines += ['', f'/* flow.py, {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
+        lines += ['', f'/* {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
         lines += [f'    {arguments})']
         lines += braces(['Linear linear;', *body, 'return linear;'])
     return '\n'.join(lines)
 
 
 FUNCTIONS = {
-    'rate_of': 'rate',
-    'runge_kutta_step': 'runge_kutta_step',
-    'exponential_step': '_exponential_step',
-    'joined': 'joined',
+    'rate_of': 'flow.py, rate',
+    'runge_kutta_step': 'flow.py, runge_kutta_step',
+    'exponential_step': 'flow.py, _exponential_step',
+    'joined': 'motion.py, joined',
 }
-"""Functions of ``flow.py`` by their names in compiled code."""
+"""Functions of ``white_box/`` by their names in compiled code."""
 
 
 def _header(name: str, what: str, numbers: str, fingerprint: int, body: str) -> str:

@@ -61,8 +61,10 @@ def test_intervals_move_as_with_numpy(kind: str, count: int, length_s: float) ->
     start, *signals = intervals(3, count, length_s)
     expected = flow(box, p, [start], *signals)
     moved = interval_motion.move(box, p, start, *signals)
+    rounding = 1e-10 if box.holds_current else 1e-11  # the rate at 10 kA is asked for
     for entry, wanted in zip(moved.entries, expected.entries, strict=True):
-        np.testing.assert_allclose(entry, wanted, rtol=1e-11, atol=1e-13 * np.abs(wanted).max())
+        atol = 1e-2 * rounding * np.abs(wanted).max()
+        np.testing.assert_allclose(entry, wanted, rtol=rounding, atol=atol)
 
 
 @needs_compiler

@@ -8,7 +8,7 @@ import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import integrated_regressors, rate
+from gray_box_observer.white_box.dynamics import decaying_regressors, integrated_regressors, rate
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 
@@ -48,6 +48,39 @@ def test_the_integrated_equation_balances_on_the_true_trajectory(
         balance.max() < 1e-5 * np.abs(target).max()
     )  # the trapezoidal rule at a tenth of the rotor's time constant
     assert np.linalg.lstsq(phi[0], target[0], rcond=None)[0] == pytest.approx(TRUTH[0], rel=1e-4)
+
+
+@pytest.mark.parametrize('intervals', [0.4, 1.0, 5.0])
+def test_a_current_that_decays_fast_balances_beside_a_speed_that_ramps(intervals: float) -> None:
+    """The trapezoidal rule is off by some per cent there, as if the voltage acted late."""
+    rng = np.random.default_rng(1)
+    box = MotorWhiteBox(('inductance', 'resistance'), 0.02, {'back_emf_constant': 0.02}, True)
+    length_s = 1e-3
+    resistance = 2.0
+    theta = np.array([resistance * intervals * length_s, resistance])
+    voltage_v = rng.normal(scale=6.0, size=(1, 60))
+    speed_rad_s = np.cumsum(rng.normal(scale=20.0, size=(1, 61)), axis=1)
+    current_a = np.zeros((1, 61))
+    fine = 4000
+    for k in range(60):
+        current = current_a[0, k]
+        for j in range(fine):
+            share = (j + 0.5) / fine
+            speed = (1.0 - share) * speed_rad_s[0, k] + share * speed_rad_s[0, k + 1]
+            middle = current + 0.5 * length_s / fine * _slope(
+                voltage_v[0, k], current, speed, theta
+            )
+            current += length_s / fine * _slope(voltage_v[0, k], middle, speed, theta)
+        current_a[0, k + 1] = current
+    signals = voltage_v, current_a, speed_rad_s, np.full((1, 60), length_s)
+    phi, target = decaying_regressors(box, *signals, intervals)
+    assert np.abs(target - phi @ theta).max() < 1e-5 * np.abs(target).max()
+    phi, target = integrated_regressors(box, *signals)
+    assert np.abs(target - phi @ theta).max() > 1e-3 * np.abs(target).max()
+
+
+def _slope(voltage_v: float, current_a: float, speed_rad_s: float, theta: np.ndarray) -> float:
+    return float((voltage_v - theta[1] * current_a - 0.02 * speed_rad_s) / theta[0])
 
 
 def test_the_rate_is_the_same_for_tensors(thesis_box: MotorWhiteBox) -> None:

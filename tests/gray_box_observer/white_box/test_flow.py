@@ -90,7 +90,7 @@ def test_a_current_soon_leaves_zero_where_its_sign_is_soft(
     start_a: float, voltage_v: float
 ) -> None:
     """Sixteen exponential steps of the same length left it up to 2.5 % too small."""
-    box = MotorWhiteBox(('inductance', 'resistance', 'brush_drop'), 0.02, {}, True)
+    box = MotorWhiteBox(('inductance', 'resistance', 'brush_drop'), 0.02)
     theta = np.array([[2e-3, 1.0, 0.6]])
     begin = [np.array([[start_a]])]
     volts = np.array([[voltage_v]])

@@ -13,12 +13,12 @@ import numpy as np
 from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
 from gray_box_observer.fit_test.input_noise import with_voltage_noise
 from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
+from gray_box_observer.fit_test.speed_noise import with_speed_noise
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.flow import to_parameters
@@ -56,7 +56,8 @@ class FittedResidual:
         least_a: noise in A that is there at least.
         floor_a: noise floor of the current in A.
         size_a: root mean square of the residual.
-        ratio: the same over the noise floor; beside noise of the voltage, that of its innovations.
+        ratio: the same over the noise floor; beside noise of voltage or speed, that of its
+            innovations.
         whiteness: Ljung-Box statistic over its degrees of freedom, of the same.
         is_white: whether the residual itself is white.
     """
@@ -102,6 +103,8 @@ def fitted_residual_in_pieces(
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     if knows_voltage_noise:
         run = with_voltage_noise(white_box, to_parameters(p)[0], run)
+    if white_box.speed_measured and not white_box.has_rotor:
+        run = with_speed_noise(white_box, p, run)
     floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
@@ -120,7 +123,7 @@ def fitted_residual_in_pieces(
     whiteness = ljung_box(residual, of_white=of_white) if is_large else 1.0
     is_white = whiteness <= COLOURED
     innovation_size_a = size_a
-    if run.noise is not NO_NOISE:
+    if run.has_input_noise:
         innovation = run.innovation_of(residual)
         innovation_size_a = math.sqrt(float(innovation @ innovation) / freedom)
         whiteness = ljung_box(innovation, of_white=of_white) if is_large else 1.0

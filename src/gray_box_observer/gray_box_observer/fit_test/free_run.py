@@ -34,6 +34,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
 from gray_box_observer.context_nodes.rotor.noise_memory import without_memory
 from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE, VoltageNoise
 from gray_box_observer.context_nodes.rotor.voltage_response import Winding
+from gray_box_observer.fit_test.speed_memory import SpeedMemory
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 PASSES = 3
@@ -75,6 +76,7 @@ class FreeRun:
         noise_power_a2: mean square of what that adds to the residual.
         noise_memory: of the current. Residual and derivatives are without what its noise remembers,
             and so is what answers.
+        speed_memory: what noise of a measured speed makes the residual remember, where it shows.
     """
 
     stretch: SampleWindow
@@ -89,6 +91,7 @@ class FreeRun:
     noise: VoltageNoise = NO_NOISE
     noise_power_a2: float = 0.0
     noise_memory: float = 0.0
+    speed_memory: SpeedMemory | None = None
 
     @property
     def is_whole(self) -> NDArray[np.bool_]:
@@ -100,6 +103,27 @@ class FreeRun:
         """Current in A that one volt over an interval brings to its end, shape (k,)."""
         return np.where(self.stretch.restart[0], 0.0, self.reach_s / self.inductance_h)
 
+    @property
+    def added_a(self) -> Array:
+        """What an interval adds to the residual, in A, shape (k,)."""
+        return np.asarray(self.residual_a[1:] - self.decay * self.residual_a[:-1])
+
+    @property
+    def lasting_weight(self) -> Array:
+        """What the squares of a push at the end of every interval come to, shape (k,).
+
+        At the samples that follow it is ever smaller, until the run begins anew.
+        """
+        later = np.concatenate([self.decay[1:], [0.0]]) ** 2
+        weight = self.weight[None, None, :0:-1]
+        backward = recurrence(later[None, ::-1], weight, np.zeros((1, 1)))
+        return np.asarray(backward[0, 0, :0:-1])
+
+    @property
+    def has_input_noise(self) -> bool:
+        """Whether noise of voltage or speed gives the residual a memory."""
+        return self.noise is not NO_NOISE or self.speed_memory is not None
+
     def beyond_memory(self, signals_a: Array) -> Array:
         """Return signals of the current as the residual is: without what noise remembers.
 
@@ -110,15 +134,17 @@ class FreeRun:
         return np.asarray(without_memory(signals_a.T, self.noise_memory, begins).T)
 
     def innovation_of(self, residual_a: Array) -> Array:
-        """Return what a residual has beyond the memory that noise of the voltage gives it.
+        """Return what a residual has beyond the memory that noise of voltage or speed gives it.
 
         Args:
             residual_a: shape (k + 1,).
         """
-        if self.noise is NO_NOISE:
-            return residual_a
-        winding = Winding(self.decay, self.gain)
-        return self.noise.innovation(residual_a, winding, self.is_whole, self.noise_power_a2)
+        if self.noise is not NO_NOISE:
+            winding = Winding(self.decay, self.gain)
+            return self.noise.innovation(residual_a, winding, self.is_whole, self.noise_power_a2)
+        if self.speed_memory is not None:
+            return self.speed_memory.innovation(residual_a, self.decay, self.is_whole)
+        return residual_a
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the run answers small further voltages.

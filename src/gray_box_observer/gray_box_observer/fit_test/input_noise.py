@@ -21,16 +21,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.native import interval_motion
-from gray_box_observer.context_nodes.recursive.normal_equations import (
-    difference_noise,
-)
-from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.context_nodes.rotor.noise_filter import MERGED, rests
 from gray_box_observer.context_nodes.rotor.voltage_noise import (
     FEWEST,
@@ -42,98 +38,16 @@ from gray_box_observer.context_nodes.rotor.voltage_noise import (
     unanswered_variance,
 )
 from gray_box_observer.fit_test.free_run import FreeRun
-from gray_box_observer.fit_test.projection import UNKNOWN, Amount
+from gray_box_observer.fit_test.projection import Amount
+from gray_box_observer.fit_test.pushed_motion import PushedMotion
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun
-from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.fit_test.speed_noise import SpeedNoise
 from gray_box_observer.samples.order_statistics import usual_interval
-from gray_box_observer.white_box.declaration import State
-from gray_box_observer.white_box.flow import Linear, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_before'
 """Names of the two variances of a voltage's noise, see :func:`voltage_variances`."""
-
-LEAST_RAD_S = 1e-9
-"""Noise of a speed that is none: what rounding leaves."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Push:
-    """What noise of one standard deviation does to the end of an interval.
-
-    Attributes:
-        current_a: shape (k,).
-        slopes_a: shape (coordinate, k): of the current's derivatives by the coordinates'
-            logarithms.
-    """
-
-    current_a: Array
-    slopes_a: Array
-
-    @property
-    def products(self) -> Array:
-        """Products of the current with its slopes, shape (coordinate, k)."""
-        return self.current_a * self.slopes_a
-
-    def after(self, end: _Push, decay: Array) -> _Push:
-        """Return what noise does that has pushed the end of the interval before, too.
-
-        Args:
-            end: what it does there.
-            decay: shape (k,): what every interval leaves of that.
-        """
-        current_a = self.current_a.copy()
-        slopes_a = self.slopes_a.copy()
-        current_a[1:] += decay[1:] * end.current_a[:-1]
-        slopes_a[:, 1:] += decay[1:] * end.slopes_a[:, :-1]
-        return _Push(current_a, slopes_a)
-
-
-class _Motion:
-    """The intervals of a free run from the readings, and from readings that are pushed.
-
-    Args:
-        white_box: of one motor.
-        p: shape (1, coordinate): its present values.
-        run: its free run at these.
-    """
-
-    def __init__(self, white_box: MotorWhiteBox, p: Array, run: FreeRun) -> None:
-        self._white_box = white_box
-        self._p = p
-        self._run = run
-        self._ends = self._moved(0.0, 0.0, 0.0)
-
-    def push(
-        self, *, voltage_v: float = 0.0, start_rad_s: float = 0.0, end_rad_s: float = 0.0
-    ) -> _Push:
-        """Return what other readings do; of an interval that is not whole, nothing."""
-        ends = self._moved(voltage_v, start_rad_s, end_rad_s)
-        current_a, slopes_a = (
-            np.where(self._run.is_whole, np.nan_to_num(end - rest), 0.0)
-            for end, rest in zip(ends, self._ends, strict=True)
-        )
-        return _Push(current_a, slopes_a * self._p[0][:, None])
-
-    def _moved(self, voltage_v: float, start_rad_s: float, end_rad_s: float) -> tuple[Array, Array]:
-        """Return the current in A at the ends, shape (k,), and its derivatives (coordinate, k)."""
-        stretch = self._run.stretch
-        start = stretch.state[:, :-1]
-        signals = (
-            stretch.voltage_v + voltage_v,
-            stretch.speed_rad_s[:, :-1] + start_rad_s,
-            stretch.speed_rad_s[:, 1:] + end_rad_s,
-            stretch.interval_s,
-        )
-        motion: Linear
-        if isinstance(self._run, RotorFreeRun):
-            rotor = self._run.speed_rad_s[None, :-1]
-            motion = flow(self._white_box, self._p, [start, rotor], *signals)
-        else:
-            motion = interval_motion.move(self._white_box, self._p, start, *signals)
-        end, _, by_coordinate = motion.of_state(State.CURRENT)
-        return end[0], by_coordinate[:, 0]
 
 
 def input_noise_scores(
@@ -158,45 +72,13 @@ def input_noise_scores(
     voltage_v2 = _voltage_variance(run, variances)
     if run.noise is not NO_NOISE:
         voltage_v2 = variances[BY_NEIGHBOURS].std  # its mean is taken off by the fit
-    std_rad_s = _speed_std(run) if white_box.speed_measured else 0.0
-    if not max(voltage_v2, std_rad_s) > 0.0:
-        return scores
-    motion = _Motion(white_box, p, run)
-    weight = _lasting_weight(run)
-    products = np.zeros((p.shape[1], run.decay.size))
     if voltage_v2 > 0.0:
-        push = motion.push(voltage_v=math.sqrt(voltage_v2))
-        products += push.products * weight
-    if std_rad_s > 0.0:
-        start, end = motion.push(start_rad_s=std_rad_s), motion.push(end_rad_s=std_rad_s)
-        share = _share_of_noise(run, start, end, std_rad_s)
-        products += share * end.products * run.weight[1:]
-        products += share * start.after(end, run.decay).products * weight
-    scores[1:] = -products.sum(axis=1)
+        push = PushedMotion(white_box, p, run).push(voltage_v=math.sqrt(voltage_v2))
+        scores[1:] -= (push.products * run.lasting_weight).sum(axis=1)
+    speed = SpeedNoise.from_run(white_box, p, run) if white_box.speed_measured else None
+    if speed is not None:
+        scores[1:] += speed.most_share * speed.scores(run)
     return scores
-
-
-def _lasting_weight(run: FreeRun) -> Array:
-    """Return what the squares of a push at the end of every interval come to, shape (k,).
-
-    At the samples that follow it is ever smaller, until the run begins anew.
-    """
-    later = np.concatenate([run.decay[1:], [0.0]]) ** 2
-    backward = recurrence(later[None, ::-1], run.weight[None, None, :0:-1], np.zeros((1, 1)))
-    return np.asarray(backward[0, 0, :0:-1])
-
-
-def _speed_std(run: FreeRun) -> float:
-    """Standard deviation in rad/s of the noise of a measured speed, as its readings have it."""
-    speed_rad_s = run.stretch.speed_rad_s
-    step_rad_s = float(quantisation_step(speed_rad_s)[0])
-    std_rad_s = max(difference_noise(speed_rad_s[0]), step_rad_s * STEP_TO_STD)
-    return std_rad_s if std_rad_s > LEAST_RAD_S else 0.0
-
-
-def _innovation(run: FreeRun) -> Array:
-    """Return what an interval adds to the residual, shape (k,)."""
-    return run.residual_a[1:] - run.decay * run.residual_a[:-1]
 
 
 def _is_plain(run: FreeRun) -> NDArray[np.bool_]:
@@ -218,16 +100,19 @@ def voltage_variances(run: FreeRun) -> dict[str, Amount]:
     gain = run.reach_s / run.inductance_h
     whole = _is_plain(run)
     change_v = np.diff(run.stretch.voltage_v[0])
-    by_neighbours = _noise_variance(
+    by_neighbours = unanswered_variance(
         -0.5 * np.diff(change_v),
-        _innovation(run)[1:-1],
+        run.added_a[1:-1],
         gain[1:-1],
         whole[:-2] & whole[1:-1] & whole[2:],
     )
-    by_the_one_before = _noise_variance(
+    by_the_one_before = unanswered_variance(
         change_v, run.residual_a[2:], (gain * (1.0 - run.decay))[1:], whole[:-1] & whole[1:]
     )
-    return {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
+    return {
+        BY_NEIGHBOURS: Amount.from_pair(by_neighbours),
+        BY_THE_ONE_BEFORE: Amount.from_pair(by_the_one_before),
+    }
 
 
 def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeRun:
@@ -247,7 +132,7 @@ def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeR
         return run
     if run.stretch.voltage_v.shape[1] < FEWEST:
         return run
-    readings = lagged_readings(run.stretch.voltage_v[0], _innovation(run), run.gain, _is_plain(run))
+    readings = lagged_readings(run.stretch.voltage_v[0], run.added_a, run.gain, _is_plain(run))
     variance_v2 = believed_variance([readings])
     if not variance_v2:
         return run
@@ -273,26 +158,3 @@ def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
         return min(upper_v2, noise_v * noise_v)
     both = by_neighbours, by_the_one_before
     return max(one.mean if shows_noise(one) else 0.0 for one in both)
-
-
-def _share_of_noise(run: FreeRun, start: _Push, end: _Push, std_rad_s: float) -> float:
-    """Share of a speed's supposed variance that the current lets be noise, 0 to 1.
-
-    A shaft that really runs so restlessly is no noise, and neither is a speed that is sampled too
-    slowly to be smooth: the current answers it.
-    """
-    whole = run.is_whole
-    gain = 0.5 * (start.current_a[1:] + end.current_a[:-1]) / std_rad_s
-    innovation_a = _innovation(run)
-    both_a = innovation_a[1:] + innovation_a[:-1]
-    difference_rad_s = -0.5 * np.diff(run.stretch.speed_rad_s[0], 2)
-    variance = _noise_variance(difference_rad_s, both_a, gain, whole[1:] & whole[:-1])
-    return min(1.0, max(0.0, variance.mean + SURE * variance.std) / (std_rad_s * std_rad_s))
-
-
-def _noise_variance(
-    difference: Array, answer_a: Array, gain: Array, is_sound: NDArray[np.bool_]
-) -> Amount:
-    """Return the variance of a signal's noise; see :func:`unanswered_variance`."""
-    outcome = unanswered_variance(difference, answer_a, gain, is_sound)
-    return UNKNOWN if outcome is None else Amount(*outcome)

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import difference_noise
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import (
@@ -33,6 +34,10 @@ UNEXPLAINED = 0.05
 
 FEWEST = 50
 """Intervals in which the shaft turns, from which they tell something."""
+
+TURNS = 4.0
+"""Standard deviations of the speed's noise beyond which the shaft turns: at rest friction takes
+what the current gives."""
 
 EXPONENTIAL = 1e-3
 """Time constants L/R in an interval below which a current is a straight line in it."""
@@ -74,7 +79,8 @@ def lag_of_speed(run: FreeRun, fewest: int = FEWEST) -> Amount:
     current_a = _mean_currents(run)
     change = np.diff(speed)
     mean_speed = interval_means(speed)
-    turns = run.is_whole & (speed[1:] != 0.0) & (speed[:-1] != 0.0)
+    slowest = TURNS * difference_noise(speed)
+    turns = run.is_whole & (np.abs(speed[1:]) > slowest) & (np.abs(speed[:-1]) > slowest)
     turns[1:] &= run.is_whole[:-1]
     turns[0] = False
     if np.count_nonzero(turns) < fewest:

@@ -273,7 +273,7 @@ def judge(
         shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     factor = np.ones(relative_std.size)
-    if analysis.whiteness > WHITENESS_WIDENS:
+    if analysis.whiteness > WHITENESS_WIDENS or analysis.remembers_speed:
         few = 1.0 + FEW_PERIODS * bandwidth(analysis.samples) / analysis.samples
         fewer = math.sqrt(analysis.samples / max(samples, analysis.samples))
         robust = SAFETY * few * fewer * analysis.robust_std
@@ -312,6 +312,16 @@ def _is_large(analysis: ResidualAnalysis) -> bool:
     """Tell whether a residual is larger than the noise, and not by chance."""
     by_chance = 1.0 + RATIO_SPREAD / math.sqrt(analysis.samples)
     return analysis.ratio > max(RATIO_WARNING, by_chance)
+
+
+def leaves_little(analysis: ResidualAnalysis) -> bool:
+    """Tell whether a residual that warns is slight, and nothing explains it.
+
+    Beside a measured speed noise of the readings, and motion between them, leave as much.
+    """
+    best = analysis.scores[0].score if analysis.scores else 0.0
+    is_slight = analysis.ratio <= RATIO_DOUBT and analysis.whiteness <= WHITENESS_DOUBT
+    return is_slight and best <= SCORE_DOUBT
 
 
 def shows_change(analysis: ResidualAnalysis) -> bool:

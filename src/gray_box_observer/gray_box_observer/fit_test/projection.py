@@ -30,6 +30,11 @@ class Amount:
     mean: float
     std: float
 
+    @classmethod
+    def from_pair(cls, pair: tuple[float, float] | None) -> Amount:
+        """Return what a mean and its standard deviation tell; None: the data tell nothing."""
+        return UNKNOWN if pair is None else cls(*pair)
+
     def likely(self, std: float) -> Amount:
         """Return the amount where a standard deviation is known beforehand, about zero."""
         ratio = self.std / std

@@ -18,7 +18,6 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.context_nodes.rotor.voltage_noise import NO_NOISE
 from gray_box_observer.fit_test.current_lag import lag_doubts, shifts_behind_lag
 from gray_box_observer.fit_test.effects import (
     LATE,
@@ -41,6 +40,7 @@ from gray_box_observer.fit_test.input_noise import (
     shows_noise,
     voltage_variances,
 )
+from gray_box_observer.fit_test.input_noise_bias import InputNoiseBias
 from gray_box_observer.fit_test.late_speed import late_speed_doubts
 from gray_box_observer.fit_test.least_squares import (
     allowances_of_stamps,
@@ -69,7 +69,6 @@ from gray_box_observer.fit_test.stamp_errors import (
     stamp_responses,
 )
 from gray_box_observer.fit_test.twin_effects import swap_shifts
-from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median, usual_interval
 from gray_box_observer.settings.sensor_lag import CurrentLag
 from gray_box_observer.white_box.flow import to_parameters
@@ -150,6 +149,7 @@ class ResidualAnalysis:
         has_noisy_voltage: whether a rotor's current leaves a part of the voltage unanswered.
         has_colour: whether, beside such noise, the residual remembers more than that makes it, or
             a filter of the current may pass for the winding.
+        remembers_speed: whether noise of a measured speed gives the residual a memory.
         evidence: what this window and earlier ones tell of stamps, noise and least squares.
         persistence: share of the next sample's autocorrelation that is left a part of a mechanical
             time constant later; 0 without a rotor.
@@ -171,6 +171,7 @@ class ResidualAnalysis:
     has_noisy_voltage: bool
     evidence: Evidence
     has_colour: bool = False
+    remembers_speed: bool = False
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
@@ -265,9 +266,9 @@ def analysis_in_pieces(
     least_a = run_residual.least_a
     theta = to_parameters(p)[0]
     bias = None
-    if run.noise is not NO_NOISE:
+    if run.has_input_noise:
         assert isinstance(white_box, MotorWhiteBox)
-        bias = VoltageNoiseBias.of_run(white_box, theta, run, projection)
+        bias = InputNoiseBias.of_run(white_box, theta, run, projection)
     late_remainder = None
     if white_box.has_rotor and whiteness > COLOURED_ROTOR:
         late_remainder = projection.without(projection.with_weight(run.residual_a))
@@ -358,6 +359,7 @@ def analysis_in_pieces(
         has_noisy_voltage=white_box.has_rotor and shows_noise(variances[BY_NEIGHBOURS]),
         evidence=evidence,
         has_colour=has_colour,
+        remembers_speed=run.speed_memory is not None and not is_white,
     )
 
 
@@ -429,7 +431,7 @@ def _scores(
     least_a: float,
     late_remainder: Array | None,
     rounding_a: Array,
-    bias: VoltageNoiseBias | None,
+    bias: InputNoiseBias | None,
 ) -> Pieces[tuple[EffectScore, ...]]:
     """Test every effect but those that white residuals rule out at ``least_a`` or more.
 
@@ -441,7 +443,8 @@ def _scores(
         late_remainder: shape (sample,): what the parameters leave of a residual with its outliers,
             on which delays and lags are tested too, in all their shapes; None: they are not.
         rounding_a: shape (place, sample): what rounding does, with weight.
-        bias: what noise of the voltage does to products with the residual; None: there is none.
+        bias: what noise of voltage or speed does to products with the residual; None: there is
+            none.
     """
     asks_late = late_remainder is not None
     candidates = _candidates(scene_of(white_box, run), asks_late=asks_late)
@@ -466,7 +469,7 @@ def _scores(
                 _voltages_of(_candidates(scene_of(white_box, noisy_run), asks_late=asks_late))
             ),
         )
-        yield len(bias.noises_v) * work
+        yield len(bias.noisy_runs) * work
     gram = distinct @ distinct.T
     own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
     remainders = [projection.remainder] + ([] if late_remainder is None else [late_remainder])

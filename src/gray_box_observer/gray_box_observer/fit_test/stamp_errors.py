@@ -10,8 +10,8 @@ import numpy as np
 from gray_box_observer.context_nodes.measured_speed.late_instant import LateInstant
 from gray_box_observer.fit_test.evidence import Evidence
 from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.fit_test.input_noise_bias import InputNoiseBias
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
-from gray_box_observer.fit_test.voltage_noise_bias import VoltageNoiseBias
 from gray_box_observer.white_box.interface import Array
 
 DELAY = 'delay'
@@ -95,7 +95,7 @@ def stamp_amounts(
     projection: Projection,
     responses_a: Mapping[str, Array],
     noise_a: float,
-    bias: VoltageNoiseBias | None = None,
+    bias: InputNoiseBias | None = None,
     *,
     is_white: bool,
 ) -> dict[str, Amount]:
@@ -106,7 +106,8 @@ def stamp_amounts(
         projection: of its residual on the parameters.
         responses_a: what :func:`stamp_responses` gives.
         noise_a: standard deviation of the residual in A.
-        bias: what noise of the voltage does to products with the residual; None: there is none.
+        bias: what noise of voltage or speed does to products with the residual; None: there is
+            none.
         is_white: whether it is white.
     """
     tools_a = _tools(run, responses_a)

@@ -28,7 +28,7 @@ from gray_box_observer.fit_test.effects import (
 )
 from gray_box_observer.fit_test.residual_analysis import EffectScore
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import integrated_regressors
+from gray_box_observer.white_box.dynamics import decaying_regressors, integrated_regressors
 from gray_box_observer.white_box.interface import Array
 
 WINDOW = 8
@@ -41,6 +41,9 @@ FEWEST_ROWS = 24
 
 CLEAR = 5.0
 """Log-likelihood that an effect must bring to be named."""
+
+SIGN_TOLD = 5.0
+"""Standard deviations of the noise beyond which a reading tells the sign of the current."""
 
 ALIKE = ('current_offset', 'lost_voltage', 'dead_zone')
 """What cannot be told apart while current and voltage keep their signs."""
@@ -111,15 +114,20 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
 
 
 def explanations_in_pieces(
-    white_box: MotorWhiteBox, stretch: SampleWindow
+    white_box: MotorWhiteBox,
+    stretch: SampleWindow,
+    intervals: float = math.inf,
+    noise_a: float = 0.0,
 ) -> Pieces[dict[str, Explanation]]:
     """Fit every effect beside the parameters; return its best alternative by its name.
 
     Args:
         white_box: of one motor.
         stretch: its samples, with a motor axis of one.
+        intervals: sample intervals in a time constant L/R; infinite where that is not known.
+        noise_a: of the readings of the current.
     """
-    rows, names, candidates = yield from _balance_in_pieces(white_box, stretch)
+    rows, names, candidates = yield from _balance_in_pieces(white_box, stretch, intervals, noise_a)
     if rows.shape[1] < FEWEST_ROWS:
         return {}
     yield rows.shape[1]
@@ -248,15 +256,20 @@ def with_delay(suspects: Sequence[Suspect], delay: Suspect) -> list[Suspect]:
 
 
 def _balance_in_pieces(
-    white_box: MotorWhiteBox, stretch: SampleWindow
+    white_box: MotorWhiteBox, stretch: SampleWindow, intervals: float, noise_a: float
 ) -> Pieces[tuple[Array, list[str], list[tuple[Effect, Shapes]]]]:
     """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
     current_a = stretch.state[0]
     interval_s = stretch.interval_s[0]
     whole = ~stretch.restart[0]
-    columns, target = integrated_regressors(
-        white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
-    )
+    if white_box.holds_current:  # readings do not tell its sign where the brushes hold it
+        is_told = np.abs(current_a) > SIGN_TOLD * noise_a
+        whole &= is_told[:-1] & is_told[1:]
+    readings = stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
+    if intervals < math.inf:
+        columns, target = decaying_regressors(white_box, *readings, intervals)
+    else:
+        columns, target = integrated_regressors(white_box, *readings)
     speed = stretch.speed_rad_s[0] if white_box.speed_measured else None
     mean_a = interval_means(current_a)
     scene = scene_along(white_box, stretch.voltage_v[0], mean_a, speed, speed, fine=True)

@@ -68,7 +68,8 @@ def _voltage_shifts(
     names = [parameter.name for parameter in white_box.parameters]
     own = names.index(name)
     current_a = interval_means(run.current_a)
-    effects = forms.WHOLE_MOTOR_EFFECTS if white_box.has_rotor else forms.EFFECTS
+    has_speed = white_box.has_rotor or white_box.speed_measured
+    effects = forms.SHARP_EFFECTS if has_speed else forms.EFFECTS
     shapes = {
         LOST_VOLTAGE: np.asarray(effects[LOST_VOLTAGE].value(current_a, 0.0, 0.0, 0.0)),
         DEAD_ZONE: np.asarray(

@@ -47,6 +47,7 @@ from gray_box_observer.fit_test.policy import (
     Judgement,
     is_dubious,
     judge,
+    leaves_little,
     shows_change,
     with_shift,
     with_shifts,
@@ -328,10 +329,20 @@ class WindowTest:
                 yield count
                 window = SampleWindow.of_content(self.white_box, motor.content)
                 yield count
-                candidates = yield from explanations_in_pieces(self.white_box, window)
+                knows_decay = self.white_box.speed_measured and analysis.ratio < RATIO_MISFIT
+                candidates = yield from explanations_in_pieces(
+                    self.white_box,
+                    window,
+                    analysis.intervals if knows_decay else math.inf,
+                    analysis.floor_a,
+                )
+            clearest = _clearest(candidates)
             is_added = bool(self.configuration.added_effects)
             is_warned = judgement.verdict is FitVerdict.WARNING
-            if _clearest(candidates) > VERY_CLEARLY or (is_added and is_warned):
+            is_slight = (
+                self.white_box.speed_measured and clearest < CLEARLY and leaves_little(analysis)
+            )
+            if clearest > VERY_CLEARLY or (is_added and is_warned and not is_slight):
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             if judgement.verdict is not FitVerdict.OK:
                 if has_rotor:

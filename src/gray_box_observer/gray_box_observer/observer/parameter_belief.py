@@ -103,7 +103,7 @@ class ParameterBelief:
         if self.level is not None:
             estimate = self.level.widened(estimate, nodes.verdict_rules)
         if isinstance(nodes, MeasuredSpeedUpdate) and not (
-            nodes.is_noisy or (nodes.is_asked and self._fit.doubts_speed(0))
+            nodes.is_noisy or self._fit.doubts_speed(0)
         ):
             estimate = self._speed.widened(nodes, estimate)
         if not self._has_known_parts:

@@ -61,11 +61,13 @@ class Term:
             ``known.NAME``.
         known_value: what that is unless it is stated; 0 leaves the effect out.
         known_upper: the largest that it may be; ``None``: as for the coefficient.
+        holds_current: whether it bends so sharply where the current changes its sign that it may
+            hold the current there.
         known_part: what is known of the coefficient though it is among the context nodes; the
             unknown rest is positive. Negative for a coefficient that may have either sign. Of a
             torque it is that of so many amperes.
-        sharp_formula: what stands for the formula in a motor with a rotor, whose steps resolve it;
-            empty: the same.
+        sharp_formula: what stands for the formula where the speed is a signal or a state, and steps
+            resolve it; empty: the same.
     """
 
     parameter: Parameter
@@ -76,11 +78,12 @@ class Term:
     known_value: float = 0.0
     known_upper: float | None = None
     known_part: float = 0.0
+    holds_current: bool = False
     sharp_formula: str = ''
 
     @property
     def whole_motor_formula(self) -> str:
-        """The formula in a motor with a rotor."""
+        """The formula where the speed is a state."""
         return self.sharp_formula or self.formula
 
     @property
@@ -152,6 +155,7 @@ _DECLARED = (
         'current * (0.01 + abs(current)) / (0.0001 + 0.01 * abs(current) + current * current)',
         known_as='brush_drop',
         known_upper=1e3,
+        holds_current=True,
         # a twentieth of that, for small motors draw tenths of an ampere
         sharp_formula='current * (0.0005 + abs(current)) / '
         '(2.5e-7 + 0.0005 * abs(current) + current * current)',

@@ -5,15 +5,15 @@ theta_0``, for a motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j 
 (docs/METHOD.md, The form). Sensitivities follow the variational equation, integrated together with
 the states.
 
-:func:`rate`, :func:`runge_kutta_step` and :func:`joined` are written here alone:
-``ros_ws/make_forms.py`` makes the compiled ones of them. A sequence over the states has an entry
+:func:`rate` and :func:`runge_kutta_step` are written here alone, and
+:func:`~gray_box_observer.white_box.motion.joined` there: ``ros_ws/make_forms.py`` makes the
+compiled ones of them. A sequence over the states has an entry
 for every balance of the white box, in that order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial, reduce
 from itertools import chain
 from operator import add
@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.white_box.balance import deducted
+from gray_box_observer.white_box.held_current import held_current_motion
 from gray_box_observer.white_box.interface import Array, WhiteBox, bounds
+from gray_box_observer.white_box.motion import Interval, Linear, RateAt, joined, product
 
 LARGEST_STEP = 0.35
 """Largest product of step and decay rate; the Runge-Kutta step is then right to 5e-5 of a decay."""
@@ -84,89 +86,6 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
     return log_covariance * theta[:, :, None] * theta[:, None, :]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Interval:
-    """Intervals, or equal parts of them, with their signals; fields of shape (motor, k).
-
-    Attributes:
-        voltage_v: voltage held over it.
-        speed_rad_s: measured speed at its start; it runs linearly to that at the end.
-        end_speed_rad_s: measured speed at its end.
-        length_s: how long it lasts.
-    """
-
-    voltage_v: Array
-    speed_rad_s: Array
-    end_speed_rad_s: Array
-    length_s: Array
-
-    def select(self, index: NDArray[np.intp]) -> Interval:
-        """Return those of the chosen motors."""
-        speeds = self.speed_rad_s[index], self.end_speed_rad_s[index]
-        return Interval(self.voltage_v[index], *speeds, self.length_s[index])
-
-    def parts(self, count: int) -> Iterator[Interval]:
-        """Cut into equal parts in order; the last ends exactly where the whole does."""
-        slope = (self.end_speed_rad_s - self.speed_rad_s) / count
-        length = self.length_s / count
-        for j in range(count):
-            end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
-            yield Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
-
-    def growing_parts(self, count: int) -> Iterator[Interval]:
-        """Cut into parts in order, each twice as long as the one before."""
-        change = self.end_speed_rad_s - self.speed_rad_s
-        total = 2.0**count - 1.0
-        for j in range(count):
-            begin, end = ((2.0**place - 1.0) / total for place in (j, j + 1))
-            speeds = self.speed_rad_s + begin * change, self.speed_rad_s + end * change
-            yield Interval(self.voltage_v, *speeds, self.length_s * (2.0**j / total))
-
-
-@dataclass(frozen=True, slots=True)
-class Linear:
-    """Rates, or where intervals lead, linearised about where these begin: one entry a state.
-
-    Attributes:
-        value: shape (motor, k) each.
-        by_state: derivatives by every state, shape (motor, k) each.
-        by_coordinate: derivatives by the coordinates, shape (coordinate, motor, k) each.
-    """
-
-    value: Sequence[Any]
-    by_state: Sequence[Sequence[Any]]
-    by_coordinate: Sequence[Any]
-
-    def of_state(self, state: int) -> tuple[Any, Any, Any]:
-        """Return what becomes of a state, and its derivatives by itself and by the coordinates."""
-        return self.value[state], self.by_state[state][state], self.by_coordinate[state]
-
-    @property
-    def entries(self) -> list[Any]:
-        """Every value and derivative."""
-        return [
-            *self.value,
-            *(slope for slopes in self.by_state for slope in slopes),
-            *self.by_coordinate,
-        ]
-
-    def mapped(self, function: Callable[..., Any], *others: Linear) -> Linear:
-        """Return what a function makes of the entries of this and of others."""
-        every = self, *others
-        return Linear(
-            [*map(function, *(one.value for one in every))],
-            [
-                [*map(function, *rows)]
-                for rows in zip(*(one.by_state for one in every), strict=True)
-            ],
-            [*map(function, *(one.by_coordinate for one in every))],
-        )
-
-
-RateAt = Callable[[Sequence[Any], Any], Linear]
-"""Rate at given states and a measured speed."""
-
-
 def flow(
     white_box: WhiteBox,
     p: Array,
@@ -181,7 +100,8 @@ def flow(
 
     As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which
     are stable however stiff. The first of these is taken in FIRST_STEPS, each twice as long as the
-    one before.
+    one before. Beside a measured speed brushes may hold the current: see
+    :func:`~gray_box_observer.white_box.held_current.held_current_motion`.
 
     Args:
         white_box: the physics.
@@ -196,6 +116,8 @@ def flow(
     """
     interval = Interval(voltage_v, speed_rad_s, end_speed, interval_s)
     rate_at = _rate_at(ops, white_box, p, voltage_v)
+    if white_box.holds_current:
+        return held_current_motion(ops, rate_at, start[0], interval)
     here = rate_at(start, speed_rad_s)
     stiffness = _stiffness(ops, here, interval_s)
     if ops.all(stiffness <= LARGEST_STEP):
@@ -262,25 +184,6 @@ def _in_steps(
     return whole
 
 
-def joined(first: Linear, then: Linear) -> Linear:
-    """Return what comes of where the first one leads: the derivatives follow by the chain rule."""
-    columns = [*zip(*first.by_state, strict=True)]
-    return Linear(
-        then.value,
-        [[_product(row, column) for column in columns] for row in then.by_state],
-        [
-            _product(row, first.by_coordinate) + own
-            for row, own in zip(then.by_state, then.by_coordinate, strict=True)
-        ],
-    )
-
-
-def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
-    """Sum up the products of two vectors; None stands for nothing."""
-    products = [a * b for a, b in zip(row, column, strict=True) if a is not None]
-    return reduce(add, products)
-
-
 def runge_kutta_step(
     rate_at: RateAt, start: Sequence[Any], here: Linear, interval: Interval
 ) -> Linear:
@@ -306,7 +209,7 @@ def runge_kutta_step(
     stages = (first, here), (behind_second, second), (behind_third, third), (last, fourth)
 
     def summed(state: int, pushes: Callable[[Linear], Sequence[Any]]) -> Any:
-        return reduce(add, (_product(own[state], pushes(rate)) for own, rate in stages))
+        return reduce(add, (product(own[state], pushes(rate)) for own, rate in stages))
 
     def by_state(state: int, by: int) -> Any:
         slope = summed(state, lambda rate: [row[by] for row in rate.by_state])
@@ -342,7 +245,7 @@ def _answers(
     columns = [*zip(*rate.by_state, strict=True)]
     return [
         [
-            own + ahead_s * _product(row, column) if s == by else ahead_s * _product(row, column)
+            own + ahead_s * product(row, column) if s == by else ahead_s * product(row, column)
             for by, column in enumerate(columns)
         ]
         for s, row in enumerate(later)

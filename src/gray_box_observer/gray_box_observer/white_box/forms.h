@@ -5,7 +5,7 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 169234350664107255
+#define FORMS_FINGERPRINT 163478827700262971
 
 enum { CURRENT, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
@@ -18,6 +18,12 @@ static inline int term_known(int64_t code)
 {
     return code == RESISTANCE || code == HYSTERESIS || code == BACK_EMF_CONSTANT || code ==
         BRUSH_DROP || code == VOLTAGE_OFFSET || code == DEAD_ZONE;
+}
+
+/* Whether a term may hold the current where it changes its sign. */
+static inline int term_holds_current(int64_t code)
+{
+    return code == BRUSH_DROP;
 }
 
 /* Speed in rad/s where it follows the current. */
@@ -160,7 +166,7 @@ INLINE Linear exponential_step(
     return linear;
 }
 
-/* flow.py, joined. */
+/* motion.py, joined. */
 INLINE Linear joined(const Terms of, const Linear *first, const Linear *then)
 {
     Linear linear;

@@ -11,10 +11,10 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 169234350664107255
+FINGERPRINT = 163478827700262971
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 851269904755032026
+WHOLE_MOTOR_FINGERPRINT = 57557466951363654
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -81,7 +81,7 @@ EFFECTS: dict[str, Form] = {
 }
 """Effects by the names of their coefficients."""
 
-WHOLE_MOTOR_EFFECTS: dict[str, Form] = EFFECTS | {
+SHARP_EFFECTS: dict[str, Form] = EFFECTS | {
     'brush_drop': Form(
         lambda current, speed, torque_constant, voltage: current*(0.0005 + abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07),
         (lambda current, speed, torque_constant, voltage: -(-current**2*0.0005 + current*0.0005**2*sign(current) + current*0.0005*abs(current)*sign(current) - 0.0005**2*abs(current) - 0.0005*2.5e-07 - 2*2.5e-07*abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07)**2,
@@ -89,7 +89,7 @@ WHOLE_MOTOR_EFFECTS: dict[str, Form] = EFFECTS | {
         lambda current, speed, torque_constant, voltage: -(-current**2*0.0005 + current*0.0005**2*sign(current) + current*0.0005*abs(current)*sign(current) - 0.0005**2*abs(current) - 0.0005*2.5e-07 - 2*2.5e-07*abs(current))/(current**2 + 0.0005*abs(current) + 2.5e-07)**2,
     ),
 }
-"""The same of a motor with a rotor."""
+"""The same where the speed is a signal or a state."""
 
 DRIVES: dict[State, Form | None] = {
     State.CURRENT: None,

@@ -90,6 +90,10 @@ class WhiteBox(Protocol):
         """Whether the speed is a state of its own, which nobody measures."""
 
     @property
+    def holds_current(self) -> bool:
+        """Whether brushes may hold its current, beside a measured speed."""
+
+    @property
     def load_varies(self) -> bool:
         """Whether a load acts on the rotor that no term describes."""
 

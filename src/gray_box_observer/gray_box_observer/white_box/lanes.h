@@ -69,4 +69,11 @@ INLINE Real exponential(Real x)
     return found;
 }
 
+INLINE Real logarithm(Real x)
+{
+    Real found;
+    for (int l = 0; l < LANES; l++) found[l] = log(x[l]);
+    return found;
+}
+
 #endif

@@ -175,6 +175,13 @@ class MotorWhiteBox:
         """Whether the speed is a state of its own, which nobody measures."""
         return State.SPEED in self.states
 
+    @cached_property
+    def holds_current(self) -> bool:
+        """Whether brushes may hold its current, beside a measured speed."""
+        names = (*self.context_nodes, *self.given)
+        is_alone = self.speed_measured and not self.has_rotor
+        return is_alone and any(TERMS[name].holds_current for name in names)
+
     @property
     def speed_source(self) -> str:
         """Where the speed comes from: ``rotor``, ``measured`` or ``torque_constant``."""
@@ -202,10 +209,10 @@ class MotorWhiteBox:
         )
         names = [name for name in self.given if _acts_on(state, name)]
         constants = [_spread(self.known[name], signal) for name in names]
-        effects = forms.WHOLE_MOTOR_EFFECTS if self.has_rotor else forms.EFFECTS
+        follows = not self.speed_measured and len(self.states) < len(SIGNALS)
+        effects = forms.EFFECTS if follows else forms.SHARP_EFFECTS
         unknown_forms = [effects[self.context_nodes[place]] for place in places]
         known_forms = [effects[name] for name in names]
-        follows = not self.speed_measured and len(self.states) < len(SIGNALS)
 
         def slope(form: Form, by: State) -> Callable[..., Any]:
             return form.total_slope if follows else form.partial[by]

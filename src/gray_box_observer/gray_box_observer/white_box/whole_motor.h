@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 851269904755032026
+#define WHOLE_MOTOR_FINGERPRINT 57557466951363654
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, VOLTAGE_OFFSET, DEAD_ZONE,
@@ -214,7 +214,7 @@ INLINE Linear exponential_step(
     return linear;
 }
 
-/* flow.py, joined. */
+/* motion.py, joined. */
 INLINE Linear joined(
     const Linear *first, const Linear *then)
 {

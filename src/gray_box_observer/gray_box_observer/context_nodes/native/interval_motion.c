@@ -7,6 +7,7 @@
 
 #define UNROLL /* the build takes a ninth of the time, the motion little more */
 #include "white_box/flow.h"
+#include "white_box/held_current.h"
 
 /* Everything a call needs; interval_motion.py holds the same list. Arrays are contiguous. */
 typedef struct {
@@ -81,7 +82,8 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
     box.torque_constant = all(m->torque_constant[motor]);
     for (int i = 0; i < of.coordinates; i++) box.p[i] = all(m->p[motor * of.coordinates + i]);
     for (int i = 0; i < of.known; i++) box.constant[i] = all(m->known[i * m->motors + motor]);
-    const int steps = steps_of(m, &box, of, first);
+    const int is_held = holds_current(of);
+    const int steps = is_held ? 1 : steps_of(m, &box, of, first);
     const int is_stiff = steps > m->most_steps, parts = is_stiff ? (int)m->most_steps : steps;
     m->left_out[motor] = steps == 0;
     if (steps == 0) return;
@@ -89,7 +91,9 @@ INLINE void move_motor(const Motions *m, const Terms of, int64_t motor)
         const Interval over = intervals_from(m, first, j);
         const Real start = entries(m->start + first, j, m->intervals);
         Linear to;
-        if (steps == 1) {
+        if (is_held)
+            to = held_current_motion(&box, of, start, &over);
+        else if (steps == 1) {
             const Linear here = rate_of(&box, of, &start, over.voltage, over.speed);
             to = runge_kutta_step(&box, of, &start, &here, &over);
         } else if (is_stiff)

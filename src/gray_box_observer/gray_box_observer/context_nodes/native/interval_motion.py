@@ -19,8 +19,9 @@ from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.native.compiled import address
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.declaration import COMPILED
-from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS, Linear, flow
+from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS, flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motion import Linear
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 MOST_COORDINATES, MOST_KNOWN = 5, 8

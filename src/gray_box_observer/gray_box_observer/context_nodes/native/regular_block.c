@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "white_box/flow.h"
+#include "white_box/held_current.h"
 
 #define MOST_UNKNOWNS (MOST_COORDINATES + STATES)
 #define MOST_SAMPLES 64
@@ -245,6 +246,8 @@ CLONES void set_out(const Update *u, Tile *t)
 INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 {
     Real stiffness = all(0.0);
+    t->steps = all(1.0), t->most = 1;
+    if (holds_current(of)) return;
     for (int j = 0; j < t->k; j++) {
         t->here[j] = rate_of(&t->box, of, &t->about[j], t->voltage[j + 1], t->speed[j]);
         const Real stiff = absolute(t->here[j].by_state[CURRENT][CURRENT]) * t->interval[j + 1];
@@ -252,7 +255,6 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
         stiffness = larger(stiffness, stiff);
     }
     t->fine &= stiffness <= u->most_steps * u->largest_step;
-    t->steps = all(1.0), t->most = 1;
     for (int l = 0; l < LANES; l++)
         if (t->fine[l] && stiffness[l] > u->largest_step) {
             t->steps[l] = ceil(stiffness[l] / u->largest_step);
@@ -271,6 +273,7 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS],
         twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
     Mask fine = t->fine;
+    const int is_held = holds_current(of);
     for (int j = 0; j <= k; j++) largest = larger(largest, absolute(t->measured[j]));
     const Real limit = u->far_away * (largest + 1e-9);
     UNROLL for (int i = 0; i < n; i++) by_coordinate[i] = all(0.0);
@@ -283,8 +286,12 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     }
     for (int j = 0; j < k; j++) { /* a loop of its own: intervals overlap in the processor */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
-        t->to[j] = t->most == 1 ? runge_kutta_step(&t->box, of, &t->about[j], &t->here[j], &over)
-                                : in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most, 0);
+        if (is_held)
+            t->to[j] = held_current_motion(&t->box, of, t->about[j], &over);
+        else if (t->most == 1)
+            t->to[j] = runge_kutta_step(&t->box, of, &t->about[j], &t->here[j], &over);
+        else
+            t->to[j] = in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most, 0);
     }
     for (int j = 0; j < k; j++) {
         const Linear to = t->to[j];

@@ -37,7 +37,7 @@ class WholeMotor:
 
     def _balance(self, state: State) -> Balance:
         names = [name for name, term in TERMS.items() if term.state is state and term.formula]
-        effects = [forms.WHOLE_MOTOR_EFFECTS[name] for name in names]
+        effects = [forms.SHARP_EFFECTS[name] for name in names]
         return Balance(
             storage=_PLACES[STORAGES[state]],
             places=tuple(_PLACES[name] for name in names),

@@ -46,7 +46,7 @@ def voltage_shares(white_box: MotorWhiteBox, theta: Array, runs: FreeRuns) -> Ar
         term = TERMS[name]
         if not term.formula or term.parameter.heats or white_box.known_parts[place]:
             continue
-        form = forms.WHOLE_MOTOR_EFFECTS[name]
+        form = forms.SHARP_EFFECTS[name]
         effect = form.value(current, speed, torque_constant, voltage_before)
         volts = 1.0 if term.state is State.CURRENT else values['resistance'] / torque_constant
         shares[place] = volts * float(np.sqrt(np.mean(effect**2))) / max(size_v, 1e-300)

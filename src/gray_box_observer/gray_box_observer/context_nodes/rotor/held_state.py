@@ -17,8 +17,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes.rotor.straight_motion import RateAt
 from gray_box_observer.white_box.declaration import State
-from gray_box_observer.white_box.flow import Linear
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motion import Linear
 
 FEWEST_DECAYS = 10.0
 """Time constants of the held state in a length, from which it is taken to follow the other one."""

@@ -182,7 +182,7 @@ def load_spread(
     current, speed = np.concatenate([path.states for path in runs.runs]).T
     for place, name in enumerate(nodes):
         if TERMS[name].formula:
-            effect = forms.WHOLE_MOTOR_EFFECTS[name].value(current, speed, torque_constant, 0.0)
+            effect = forms.SHARP_EFFECTS[name].value(current, speed, torque_constant, 0.0)
             own = values[name] / values['inertia'] * np.broadcast_to(effect, current.shape)
         else:
             own = np.concatenate(accelerations)

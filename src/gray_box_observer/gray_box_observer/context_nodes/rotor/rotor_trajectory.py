@@ -22,15 +22,9 @@ from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, Whole
 from gray_box_observer.context_nodes.rotor.held_state import held_motion, may_be_held
 from gray_box_observer.context_nodes.rotor.straight_motion import HALVINGS, StraightMotion
 from gray_box_observer.white_box.declaration import TERMS, State
-from gray_box_observer.white_box.flow import (
-    Interval,
-    Linear,
-    _exponential_step,
-    joined,
-    rate,
-    runge_kutta_step,
-)
+from gray_box_observer.white_box.flow import _exponential_step, rate, runge_kutta_step
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motion import Interval, Linear, joined
 
 STATES = len(State)
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.white_box.declaration import State
-from gray_box_observer.white_box.flow import Linear
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motion import Linear
 
 HALVINGS = 8
 """How often an interval is halved where its rate is not straight."""
