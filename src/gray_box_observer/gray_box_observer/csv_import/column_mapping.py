@@ -179,7 +179,10 @@ class CsvMapping:
                 own[key] = _value(key, key, value)
             elif key != 'motor':
                 valid_keys = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
-                raise BagError(f'{brief(key)} is no key of a mapping; there are: {valid_keys}')
+                raise BagError(
+                    f'{brief(key)} is no key of a mapping; there are: {valid_keys}. '
+                    'Parameters of the motor are given by --params'
+                )
         motors = {}
         if 'motor' in flat and default_motor not in groups:
             raise BagError(
