@@ -85,8 +85,13 @@ def fitted(window: Window) -> OutputFit:
     return fit
 
 
-def observed(samples: list[Sample]) -> tuple[Any, str]:
-    """What the observer says of samples: its estimate and its verdict of the fit."""
+def observed(samples: list[Sample], **more: Any) -> tuple[Any, str]:
+    """What the observer says of samples: its estimate and its verdict of the fit.
+
+    Args:
+        samples: of the motor.
+        more: parameters of it.
+    """
     parameters = {
         'predictor': False,
         'motor.torque_constant': KT,
@@ -94,7 +99,7 @@ def observed(samples: list[Sample]) -> tuple[Any, str]:
         'motor.speed_source': 'measured',
         'motor.context_nodes': ['inductance', 'resistance'],
         'motor.stamps_exact': True,
-    }
+    } | {f'motor.{name}': value for name, value in more.items()}
     observer = Observer(Configuration.from_flat(parameters), None)
     volts = [float(sample.voltage_v[0]) for sample in samples[1:]]
     for sample, volt in zip(samples, [*volts, 0.0], strict=True):

@@ -44,6 +44,7 @@ from gray_box_observer.expressions.formula import Formula
 from gray_box_observer.fit_test.motor_under_test import MotorUnderTest
 from gray_box_observer.observer.combined_signal import CombinedSignal
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -328,14 +329,27 @@ def test_a_load_that_varied_in_few_samples_alone_is_constant() -> None:
     assert fit.walk == 0.0
 
 
-@pytest.mark.slow
-def test_a_motor_that_lacks_a_term_is_not_explained_by_noise_of_the_speed() -> None:
-    samples = [
+def _behind_brushes() -> list[Sample]:
+    """Samples of a motor whose brushes take 1.5 V, its speed noisy."""
+    return [
         sample._replace(voltage_v=sample.voltage_v + 1.5 * np.sign(sample.torque_nm))
         for sample in readings('noisy')
     ]
-    estimate, fit = observed(samples)
+
+
+@pytest.mark.slow
+def test_a_motor_that_lacks_a_term_is_not_explained_by_noise_of_the_speed() -> None:
+    estimate, fit = observed(_behind_brushes(), effects='none')
     assert Verdict.IDENTIFIED not in estimate.verdicts[0] or fit != 'ok'
+
+
+@pytest.mark.slow
+def test_brushes_are_found_beside_a_noisy_speed() -> None:
+    estimate, fit = observed(_behind_brushes())
+    assert fit == 'ok'
+    assert [parameter.name for parameter in estimate.parameters][2] == 'brush_drop'
+    assert estimate.value[0] == pytest.approx([*THETA[:2], 1.5], rel=0.02)
+    assert estimate.verdicts[0][:2] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
 
 
 def test_the_fit_test_passes_on_a_noisy_speed() -> None:
