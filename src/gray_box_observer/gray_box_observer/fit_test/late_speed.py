@@ -22,6 +22,7 @@ from gray_box_observer.fit_test.projection import (
     Doubt,
     long_run_covariance,
 )
+from gray_box_observer.samples.noise_floor import quantisation_step
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -79,7 +80,8 @@ def lag_of_speed(run: FreeRun, fewest: int = FEWEST) -> Amount:
     current_a = _mean_currents(run)
     change = np.diff(speed)
     mean_speed = interval_means(speed)
-    slowest = TURNS * difference_noise(speed)
+    is_counted = float(quantisation_step(speed[None])[0]) > 0.0  # then it is zero at rest
+    slowest = 0.0 if is_counted else TURNS * difference_noise(speed)
     turns = run.is_whole & (np.abs(speed[1:]) > slowest) & (np.abs(speed[:-1]) > slowest)
     turns[1:] &= run.is_whole[:-1]
     turns[0] = False
