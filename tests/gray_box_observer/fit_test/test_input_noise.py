@@ -21,6 +21,7 @@ from gray_box_observer.fit_test.input_noise import (
 from gray_box_observer.fit_test.projection import UNKNOWN, Amount, Projection
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.rotor_free_run import RotorFreeRun, rotor_free_run
+from gray_box_observer.fit_test.speed_noise import SpeedNoise
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
 
@@ -59,7 +60,8 @@ def _shift(box: MotorWhiteBox, stretch: SampleWindow) -> Floats:
     p = true_coordinates(box)
     run = free_run(box, p, stretch)
     projection = Projection(run.jacobian, run.residual_a, run.weight, run.jacobian.shape[1])
-    scores = input_noise_scores(box, p, run, voltage_variances(run))
+    noise = SpeedNoise.from_run(box, p, run)
+    scores = input_noise_scores(box, p, run, voltage_variances(run), noise)
     return projection.shift_of_scores(scores)
 
 
@@ -134,7 +136,8 @@ def test_under_a_controller_that_answers_the_largest_likely_noise_counts() -> No
 
     def scores(by_neighbours: Amount, by_the_one_before: Amount) -> Floats:
         variances = {BY_NEIGHBOURS: by_neighbours, BY_THE_ONE_BEFORE: by_the_one_before}
-        return input_noise_scores(L_AND_R, p, run, variances)
+        noise = SpeedNoise.from_run(L_AND_R, p, run)
+        return input_noise_scores(L_AND_R, p, run, variances, noise)
 
     answered = Amount(-1.0, 0.1)
     little = Amount(1e-4, 2e-4)
@@ -183,4 +186,4 @@ def test_a_rotor_that_cannot_be_run_answers_no_noise() -> None:
     noise = Amount(VOLTAGE.voltage**2, 1e-6)
     variances = {BY_NEIGHBOURS: noise, BY_THE_ONE_BEFORE: noise}
     assert not isinstance(run, RotorFreeRun)
-    assert (input_noise_scores(rotor, p, run, variances) == 0.0).all()
+    assert (input_noise_scores(rotor, p, run, variances, None) == 0.0).all()

@@ -13,7 +13,7 @@ from gray_box_observer.fit_test.fitted_residual import ljung_box
 from gray_box_observer.fit_test.free_run import free_run
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.fit_test.speed_memory import SpeedMemory
-from gray_box_observer.fit_test.speed_noise import SpeedNoise, with_speed_noise
+from gray_box_observer.fit_test.speed_noise import SpeedNoise
 
 COUNT = 5_000
 OWN_A = 0.01
@@ -54,8 +54,8 @@ def test_a_residual_of_nothing_stays() -> None:
     nothing_a = np.zeros(9)
     memory = SpeedMemory(0.5, 0.01, 0.01)
     assert not memory.innovation(nothing_a, np.full(8, 0.5), np.full(8, True)).any()
-    held = memory.innovation(nothing_a + 1.0, np.zeros(8), np.full(8, True))
-    np.testing.assert_array_equal(held, nothing_a + 1.0)
+    held_a = memory.innovation(nothing_a + 1.0, np.zeros(8), np.full(8, True))
+    np.testing.assert_array_equal(held_a, nothing_a + 1.0)
 
 
 def test_noise_of_a_speed_is_told_by_the_current() -> None:
@@ -66,14 +66,15 @@ def test_noise_of_a_speed_is_told_by_the_current() -> None:
     assert noise is not None
     assert noise.std_rad_s == pytest.approx(SPEED.speed, rel=0.1)
     assert noise.shown_share == pytest.approx(1.0, abs=0.3)
-    assert with_speed_noise(L_AND_R, p, run).speed_memory is not None
+    assert noise.shown_in(run).speed_memory is not None
 
 
 def test_a_speed_without_noise_shows_none() -> None:
     stretch = _measured(turning_motor(RHO), 1, NOISELESS)
     p = true_coordinates(L_AND_R)
     run = free_run(L_AND_R, p, stretch)
-    assert with_speed_noise(L_AND_R, p, run).speed_memory is None
+    noise = SpeedNoise.from_run(L_AND_R, p, run)
+    assert noise is None or noise.shown_in(run).speed_memory is None
     steady = replace(stretch, speed_rad_s=np.full_like(stretch.speed_rad_s, 50.0))
     assert SpeedNoise.from_run(L_AND_R, p, free_run(L_AND_R, p, steady)) is None
 

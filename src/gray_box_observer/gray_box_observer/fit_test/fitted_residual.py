@@ -18,7 +18,7 @@ from gray_box_observer.fit_test.free_run import FreeRun, free_run_in_pieces
 from gray_box_observer.fit_test.input_noise import with_voltage_noise
 from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.rotor_free_run import rotor_free_run_in_pieces
-from gray_box_observer.fit_test.speed_noise import with_speed_noise
+from gray_box_observer.fit_test.speed_noise import SpeedNoise
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.order_statistics import MAD_TO_STD, median
 from gray_box_observer.white_box.flow import to_parameters
@@ -50,6 +50,7 @@ class FittedResidual:
 
     Attributes:
         run: the free run.
+        speed_noise: of the readings of a measured speed; None: they have none.
         projection: of its residual on the parameters.
         residual_a: shape (sample,): what they leave.
         step_a: by which readings of the current step; 0: by none.
@@ -63,6 +64,7 @@ class FittedResidual:
     """
 
     run: FreeRun
+    speed_noise: SpeedNoise | None
     projection: Projection
     residual_a: Array
     step_a: float
@@ -103,8 +105,10 @@ def fitted_residual_in_pieces(
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     if knows_voltage_noise:
         run = with_voltage_noise(white_box, to_parameters(p)[0], run)
+    speed_noise = None
     if white_box.speed_measured and not white_box.has_rotor:
-        run = with_speed_noise(white_box, p, run)
+        speed_noise = SpeedNoise.from_run(white_box, p, run)
+        run = run if speed_noise is None else speed_noise.shown_in(run)
     floor_a = max(difference_noise(run.innovation_of(run.residual_a)), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(median(np.abs(run.residual_a))), floor_a)
     residual = np.clip(run.residual_a, -limit_a, limit_a)
@@ -129,6 +133,7 @@ def fitted_residual_in_pieces(
         whiteness = ljung_box(innovation, of_white=of_white) if is_large else 1.0
     return FittedResidual(
         run=run,
+        speed_noise=speed_noise,
         projection=projection,
         residual_a=residual,
         step_a=step_a,

@@ -51,7 +51,11 @@ BY_NEIGHBOURS, BY_THE_ONE_BEFORE = 'voltage_noise', 'voltage_noise_by_the_one_be
 
 
 def input_noise_scores(
-    white_box: WhiteBox, p: Array, run: FreeRun, variances: Mapping[str, Amount]
+    white_box: WhiteBox,
+    p: Array,
+    run: FreeRun,
+    variances: Mapping[str, Amount],
+    speed_noise: SpeedNoise | None,
 ) -> Array:
     """Return the mean products of slopes and residual that noise of voltage and speed makes.
 
@@ -60,6 +64,7 @@ def input_noise_scores(
         p: shape (1, coordinate): its present values.
         run: its free run at these.
         variances: of the voltage's noise in V2, as :func:`voltage_variances` has them.
+        speed_noise: of the readings of its speed; None: they have none.
 
     Returns:
         Shape (1 + coordinate,): by the first state and by the coordinates' logarithms; zero where
@@ -75,9 +80,8 @@ def input_noise_scores(
     if voltage_v2 > 0.0:
         push = PushedMotion(white_box, p, run).push(voltage_v=math.sqrt(voltage_v2))
         scores[1:] -= (push.products * run.lasting_weight).sum(axis=1)
-    speed = SpeedNoise.from_run(white_box, p, run) if white_box.speed_measured else None
-    if speed is not None:
-        scores[1:] += speed.most_share * speed.scores(run)
+    if speed_noise is not None:
+        scores[1:] += speed_noise.most_share * speed_noise.scores(run)
     return scores
 
 
@@ -143,11 +147,6 @@ def with_voltage_noise(white_box: WhiteBox, theta: Array, run: FreeRun) -> FreeR
     return replace(run, noise=noise, noise_power_a2=power_a2)
 
 
-def shows_noise(variance: Amount) -> bool:
-    """Tell whether a variance, as :func:`voltage_variances` has it, is that of some noise."""
-    return variance.mean > SURE * variance.std
-
-
 def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
     """Return the variance in V2 that counts; under a controller that answers, its upper end."""
     by_neighbours = variances[BY_NEIGHBOURS]
@@ -157,4 +156,4 @@ def _voltage_variance(run: FreeRun, variances: Mapping[str, Amount]) -> float:
         noise_v = difference_noise(run.stretch.voltage_v[0])
         return min(upper_v2, noise_v * noise_v)
     both = by_neighbours, by_the_one_before
-    return max(one.mean if shows_noise(one) else 0.0 for one in both)
+    return max(one.mean if one.exceeds(SURE) else 0.0 for one in both)

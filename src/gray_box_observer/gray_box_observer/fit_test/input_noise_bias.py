@@ -7,6 +7,7 @@ is found by drawing such noise anew, and laying it over the readings.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.projection import Projection
 from gray_box_observer.fit_test.speed_noise import SpeedNoise
 from gray_box_observer.samples.order_statistics import usual_interval
-from gray_box_observer.white_box.flow import swapped_logarithms, to_coordinates
+from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -44,7 +45,12 @@ class InputNoiseBias:
 
     @classmethod
     def of_run(
-        cls, white_box: MotorWhiteBox, theta: Array, run: FreeRun, projection: Projection
+        cls,
+        white_box: MotorWhiteBox,
+        theta: Array,
+        run: FreeRun,
+        projection: Projection,
+        speed_noise: SpeedNoise | None,
     ) -> InputNoiseBias | None:
         """Draw noise as large as that of a free run; None where it has none.
 
@@ -53,53 +59,40 @@ class InputNoiseBias:
             theta: shape (parameter,): its present values.
             run: its free run at these.
             projection: of its residual on the parameters.
+            speed_noise: of the readings of its speed; None: they have none.
         """
+        rng = np.random.default_rng(SEED)
+        stretch = run.stretch
         if run.noise is not NO_NOISE:
-            return cls._of_voltage(white_box, theta, run, projection)
-        if run.speed_memory is not None:
-            return cls._of_speed(white_box, theta, run, projection)
-        return None
-
-    @classmethod
-    def _of_voltage(
-        cls, white_box: MotorWhiteBox, theta: Array, run: FreeRun, projection: Projection
-    ) -> InputNoiseBias:
-        interval_s = run.stretch.interval_s[0]
-        of_residual, _ = run.noise.products(white_box, np.log(theta), interval_s)
-        scores = np.concatenate([[0.0], swapped_logarithms(of_residual[None])[0]])
-        scores *= run.residual_a.size
-        usual_s = usual_interval(interval_s)
-        rng = np.random.default_rng(SEED)
-        is_whole = run.is_whole
-        stds_v = np.where(is_whole, run.noise.stds_v(interval_s, usual_s), 0.0)
-        noises_v = stds_v * rng.normal(size=(DRAWS, is_whole.size))
-        remainders_a = projection.without(projection.with_weight(-run.response(noises_v)))
-        stretch = run.stretch
-        noisy_runs = tuple(
-            replace(run, stretch=replace(stretch, voltage_v=stretch.voltage_v + noise_v))
-            for noise_v in noises_v
-        )
-        return cls(run, projection, scores, noisy_runs, remainders_a)
-
-    @classmethod
-    def _of_speed(
-        cls, white_box: MotorWhiteBox, theta: Array, run: FreeRun, projection: Projection
-    ) -> InputNoiseBias | None:
-        noise = SpeedNoise.from_run(white_box, to_coordinates(theta[None]), run)
-        if noise is None:
+            interval_s = stretch.interval_s[0]
+            of_residual, _ = run.noise.products(white_box, np.log(theta), interval_s)
+            scores = run.residual_a.size * swapped_logarithms(of_residual[None])[0]
+            stds_v = run.noise.stds_v(interval_s, usual_interval(interval_s))
+            stds_v = np.where(run.is_whole, stds_v, 0.0)
+            noises_v = stds_v * rng.normal(size=(DRAWS, stds_v.size))
+            answers_a = run.response(noises_v)
+            stretches = [
+                replace(stretch, voltage_v=stretch.voltage_v + noise_v) for noise_v in noises_v
+            ]
+        elif run.speed_memory is not None and speed_noise is not None:
+            share = speed_noise.shown_share
+            scores = share * speed_noise.scores(run)
+            noises = math.sqrt(share) * rng.normal(size=(DRAWS, run.residual_a.size))
+            answers_a = speed_noise.answers_a(run, noises)
+            noises_rad_s = speed_noise.std_rad_s * noises
+            stretches = [
+                replace(stretch, speed_rad_s=stretch.speed_rad_s + noise_rad_s)
+                for noise_rad_s in noises_rad_s
+            ]
+        else:
             return None
-        stretch = run.stretch
-        rng = np.random.default_rng(SEED)
-        noises = np.sqrt(noise.shown_share) * rng.normal(size=(DRAWS, run.residual_a.size))
-        answers_a = noise.answers_a(run, noises)
-        speeds_rad_s = stretch.speed_rad_s + noise.std_rad_s * noises[:, None]
-        noisy_runs = tuple(
-            replace(run, stretch=replace(stretch, speed_rad_s=speed_rad_s))
-            for speed_rad_s in speeds_rad_s
+        return cls(
+            run,
+            projection,
+            np.concatenate([[0.0], scores]),
+            tuple(replace(run, stretch=one) for one in stretches),
+            projection.without(projection.with_weight(-answers_a)),
         )
-        scores = np.concatenate([[0.0], noise.shown_share * noise.scores(run)])
-        remainders_a = projection.without(projection.with_weight(-answers_a))
-        return cls(run, projection, scores, noisy_runs, remainders_a)
 
     def of_responses(
         self, responses_a: Array, respond: Callable[[FreeRun], Array]

@@ -56,7 +56,7 @@ def late_speed_doubts(white_box: WhiteBox, run: FreeRun, theta: Array) -> list[D
     if not white_box.speed_measured or 'back_emf_constant' not in white_box.context_nodes:
         return []
     lag = lag_of_speed(run)
-    if not lag.mean > SHOWN_STDS * lag.std:
+    if not lag.exceeds(SHOWN_STDS):
         return []
     size = math.hypot(lag.size, UNEXPLAINED)
     return [Doubt(response_to_lag(white_box, theta, run, size))]

@@ -35,6 +35,10 @@ class Amount:
         """Return what a mean and its standard deviation tell; None: the data tell nothing."""
         return UNKNOWN if pair is None else cls(*pair)
 
+    def exceeds(self, stds: float) -> bool:
+        """Tell whether there is some, by so many standard deviations."""
+        return self.mean > stds * self.std
+
     def likely(self, std: float) -> Amount:
         """Return the amount where a standard deviation is known beforehand, about zero."""
         ratio = self.std / std

@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.recursive.normal_equations import (
     difference_noise,
 )
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.voltage_noise import SURE
 from gray_box_observer.fit_test.current_lag import lag_doubts, shifts_behind_lag
 from gray_box_observer.fit_test.effects import (
     LATE,
@@ -37,7 +38,6 @@ from gray_box_observer.fit_test.input_noise import (
     BY_NEIGHBOURS,
     BY_THE_ONE_BEFORE,
     input_noise_scores,
-    shows_noise,
     voltage_variances,
 )
 from gray_box_observer.fit_test.input_noise_bias import InputNoiseBias
@@ -259,6 +259,7 @@ def analysis_in_pieces(
         noise_memory=0.0 if lag is None else lag.memory,
     )
     run = run_residual.run
+    speed_noise = run_residual.speed_noise
     projection = run_residual.projection
     residual = run_residual.residual_a
     whiteness = run_residual.whiteness
@@ -268,7 +269,7 @@ def analysis_in_pieces(
     bias = None
     if run.has_input_noise:
         assert isinstance(white_box, MotorWhiteBox)
-        bias = InputNoiseBias.of_run(white_box, theta, run, projection)
+        bias = InputNoiseBias.of_run(white_box, theta, run, projection, speed_noise)
     late_remainder = None
     if white_box.has_rotor and whiteness > COLOURED_ROTOR:
         late_remainder = projection.without(projection.with_weight(run.residual_a))
@@ -306,11 +307,12 @@ def analysis_in_pieces(
     intervals = _intervals(white_box, p, stretch)
     rounding_a = rounding_errors(run, run_residual.step_a, run_residual.size_a)
     rounding_a = projection.with_weight(run.beyond_memory(rounding_a))
+    noise_scores = input_noise_scores(white_box, p, run, variances, speed_noise)
     open_shifts = [
         *(projection.shift(error_a)[None] for error_a in rounding_a),
         swap_shifts(white_box, run, theta, noise_a),
         shifts_behind_lag(white_box, run, theta, lag),
-        projection.shift_of_scores(input_noise_scores(white_box, p, run, variances))[None],
+        projection.shift_of_scores(noise_scores)[None],
         shown_steps(white_box, theta, evidence),
         shown_by_speed(white_box, evidence),
         loss_shifts(white_box, run, projection, input_evidence),
@@ -356,7 +358,7 @@ def analysis_in_pieces(
         open_shifts=np.concatenate(open_shifts),
         smoothing_shifts=np.concatenate([np.empty((0, theta.size)), *smoothing_shifts]),
         persistence=_persistence(residual, _mechanical_intervals(white_box, p, stretch)),
-        has_noisy_voltage=white_box.has_rotor and shows_noise(variances[BY_NEIGHBOURS]),
+        has_noisy_voltage=white_box.has_rotor and variances[BY_NEIGHBOURS].exceeds(SURE),
         evidence=evidence,
         has_colour=has_colour,
         remembers_speed=run.speed_memory is not None and not is_white,

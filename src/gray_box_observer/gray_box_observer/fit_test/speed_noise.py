@@ -88,7 +88,7 @@ class SpeedNoise:
     @property
     def shown_share(self) -> float:
         """Share of the variance that the current shows to be noise, 0 to 1."""
-        if not self.variance.mean > SURE * self.variance.std:
+        if not self.variance.exceeds(SURE):
             return 0.0
         return min(1.0, self.variance.mean / (self.std_rad_s * self.std_rad_s))
 
@@ -126,15 +126,3 @@ class SpeedNoise:
         )
         share = math.sqrt(self.shown_share)
         return replace(run, speed_memory=SpeedMemory(decay, share * start_a, share * end_a))
-
-
-def with_speed_noise(white_box: WhiteBox, p: Array, run: FreeRun) -> FreeRun:
-    """Return a run that knows the noise of its speed; where it shows none, the run itself.
-
-    Args:
-        white_box: of one motor, its speed measured.
-        p: shape (1, coordinate): its present values.
-        run: the free run at these.
-    """
-    noise = SpeedNoise.from_run(white_box, p, run)
-    return run if noise is None else noise.shown_in(run)
