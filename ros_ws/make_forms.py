@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import sympy
 from sympy.printing.pycode import PythonCodePrinter
 from written_c import Each, Loop, Written, braces, plain, sign, statements, wrapped
 
-from gray_box_observer.white_box import declaration, flow, motion
+from gray_box_observer.white_box import declaration, flow
 from gray_box_observer.white_box.balance import Balance, Form
 from gray_box_observer.white_box.declaration import (
     COMPILED,
@@ -33,6 +33,7 @@ from gray_box_observer.white_box.declaration import (
     TERMS,
     State,
 )
+from gray_box_observer.white_box.motion import Interval, Linear, joined
 
 WHITE_BOX = Path(declaration.__file__).resolve().parent
 
@@ -238,6 +239,13 @@ def in_c(expression: Expression) -> str:
     return plain(_function(list(SYMBOLS), expression)(*map(Written, SYMBOLS)))
 
 
+def _code_question(name: str, description: str, codes: Iterable[str]) -> list[str]:
+    """Write a function that tells whether a term's code is one of some."""
+    is_any = ' || '.join(f'code == {code}' for code in codes)
+    head = [f'/* {description} */', f'static inline int {name}(int64_t code)']
+    return [*head, *braces([f'return {is_any};']), '']
+
+
 def c_forms() -> str:
     """Return the text of ``forms.h`` but for its fingerprint."""
     compiled = {
@@ -246,13 +254,14 @@ def c_forms() -> str:
     effects = {name.upper(): parsed(term.formula) for name, term in compiled.items()}
     lines = [f'enum {{ {", ".join([*(state.name for state in COMPILED), "STATES"])} }};']
     lines += [*wrapped(f'enum {{ {", ".join(name.upper() for name in TERMS)} }};'), '']
-    lines += ['#include "white_box/physics.h"', '', '/* Whether there is a term of this code. */']
-    lines += ['static inline int term_known(int64_t code)']
-    lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
     holding = [name.upper() for name, term in compiled.items() if term.holds_current]
-    lines += ['/* Whether a term may hold the current where it changes its sign. */']
-    lines += ['static inline int term_holds_current(int64_t code)']
-    lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in holding)};']), '']
+    lines += ['#include "white_box/physics.h"', '']
+    lines += _code_question('term_known', 'Whether there is a term of this code.', effects)
+    lines += _code_question(
+        'term_holds_current',
+        'Whether a term may hold the current where it changes its sign.',
+        holding,
+    )
     for name, argument, expression, description in relations():
         lines += [f'/* {description} */']
         lines += [
@@ -342,10 +351,10 @@ def _rate() -> list[str]:
 
 def _runge_kutta_step() -> list[str]:
     names = ('voltage', 'speed', 'end_speed', 'length')
-    interval = motion.Interval(*(Written(f'over->{name}') for name in names))  # type: ignore[arg-type]
+    interval = Interval(*(Written(f'over->{name}') for name in names))  # type: ignore[arg-type]
     number = iter(range(2, 5))
 
-    def rate_at(states: Sequence[Written], speed: Written) -> motion.Linear:
+    def rate_at(states: Sequence[Written], speed: Written) -> Linear:
         name = f'r{next(number)}'
         places = ', '.join(f'{{{state}}}' for state in COMPILED)
         call = (
@@ -365,24 +374,22 @@ def _exponential_step() -> list[str]:
     start: Any = [Written(f'start[{state.name}]') for state in COMPILED]
     none: Any = Written('0.0')
     length: Any = Written('length')
-    interval = motion.Interval(none, none, none, length)
+    interval = Interval(none, none, none, length)
     step = flow._exponential_step(_Functions, _no_rate, start, _linear('here->'), interval)
     return _stored(step, ['j'])
 
 
-def _no_rate(states: Sequence[Any], speed: Any) -> motion.Linear:
+def _no_rate(states: Sequence[Any], speed: Any) -> Linear:
     raise NotImplementedError  # an exponential step asks for none but that at its start
 
 
 def _joined() -> list[str]:
-    return _stored(motion.joined(_linear('first->'), _linear('then->')), ['j'])
+    return _stored(joined(_linear('first->'), _linear('then->')), ['j'])
 
 
-def _linear(
-    name: str, states: Sequence[State] = COMPILED, every: Loop = COORDINATES
-) -> motion.Linear:
+def _linear(name: str, states: Sequence[State] = COMPILED, every: Loop = COORDINATES) -> Linear:
     """A rate or a motion that stands in a variable."""
-    return motion.Linear(
+    return Linear(
         [Written(f'{name}value[{s.name}]') for s in states],
         [[Written(f'{name}by_state[{s.name}][{r.name}]') for r in states] for s in states],
         [Written(f'{name}by_coordinate[{s.name}][j]', every=every) for s in states],
@@ -390,7 +397,7 @@ def _linear(
 
 
 def _stored(
-    linear: motion.Linear, places: Sequence[int | str], states: Sequence[State] = COMPILED
+    linear: Linear, places: Sequence[int | str], states: Sequence[State] = COMPILED
 ) -> list[str]:
     """Statements that work out a rate or a motion."""
     results = []
@@ -445,7 +452,7 @@ class _WholeMotor:
         )
 
 
-def _written_out(name: str, *made: Written) -> motion.Linear:
+def _written_out(name: str, *made: Written) -> Linear:
     """A rate whose derivatives by coordinates are written out: each stands in one balance only."""
     forced: list[Any] = [
         Each(
@@ -457,7 +464,7 @@ def _written_out(name: str, *made: Written) -> motion.Linear:
         for state in State
     ]
     rate = _linear(name, tuple(State), EVERY_TERM)
-    return motion.Linear(
+    return Linear(
         [Written(entry.text, made) for entry in rate.value],
         [[Written(entry.text, made) for entry in row] for row in rate.by_state],
         forced,
@@ -471,10 +478,11 @@ def whole_motor_form() -> str:
     box: Any = _WholeMotor()
     coefficients: Any = {place: Written(f'p[{place}]') for place in every}
     rate = flow.rate(_Functions, box, coefficients, states, Written('voltage'), None)
-    interval = motion.Interval(*(Written(name) for name in ('voltage', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
+    names = ('voltage', '0.0', '0.0', 'length')
+    interval = Interval(*map(Written, names))  # type: ignore[arg-type]
     number = iter(range(2, 5))
 
-    def rate_at(at: Sequence[Written], speed: Written) -> motion.Linear:
+    def rate_at(at: Sequence[Written], speed: Written) -> Linear:
         name = f'r{next(number)}'
         places = ', '.join(f'{{{state}}}' for state in State)
         call = (
@@ -487,9 +495,7 @@ def whole_motor_form() -> str:
     by_runge_kutta = flow.runge_kutta_step(rate_at, start, _written_out('here->'), interval)
     begin: Any = start
     exponential = flow._exponential_step(_Functions, rate_at, begin, here, interval)
-    both = motion.joined(
-        *(_linear(f'{name}->', tuple(State), EVERY_TERM) for name in ('first', 'then'))
-    )
+    both = joined(*(_linear(f'{name}->', tuple(State), EVERY_TERM) for name in ('first', 'then')))
     step = (
         'const Real *p, Real torque_constant, const Real *start, const Linear *here,\n'
         '    Real voltage, Real length'

@@ -23,6 +23,7 @@ from gray_box_observer.fit_test.projection import (
     long_run_covariance,
 )
 from gray_box_observer.samples.noise_floor import quantisation_step
+from gray_box_observer.white_box.dynamics import end_share
 from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -120,9 +121,5 @@ def _mean_currents(run: FreeRun) -> Array:
     """Return the mean of the free run's current over every interval, shape (k,)."""
     constants = -np.log(np.clip(run.decay, 1e-12, 1.0))
     is_curved = constants > EXPONENTIAL
-    clipped_constants = np.where(is_curved, constants, 1.0)
-    left = np.exp(-clipped_constants)
-    first_a, last_a = run.current_a[:-1], run.current_a[1:]
-    final_a = (last_a - left * first_a) / (1.0 - left)
-    means_a = final_a + (first_a - last_a) / clipped_constants
-    return np.where(is_curved, means_a, interval_means(run.current_a))
+    share = np.where(is_curved, end_share(1.0 / np.where(is_curved, constants, 1.0)), 0.5)
+    return np.asarray(run.current_a[:-1] + share * np.diff(run.current_a))

@@ -258,8 +258,7 @@ def judge(
         if score.score > limit and np.max(np.abs(score.shift)) > NOTICEABLE
     ]
     material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
-    best = analysis.scores[0].score if analysis.scores else 0.0
-    doubtful = best > SCORE_DOUBT and (is_coloured or analysis.ratio > RATIO_DOUBT)
+    doubtful = analysis.best_score > SCORE_DOUBT and (is_coloured or analysis.ratio > RATIO_DOUBT)
     doubtful |= is_drifting and is_coloured
     if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
         verdict = FitVerdict.MISFIT
@@ -319,9 +318,8 @@ def leaves_little(analysis: ResidualAnalysis) -> bool:
 
     Beside a measured speed noise of the readings, and motion between them, leave as much.
     """
-    best = analysis.scores[0].score if analysis.scores else 0.0
     is_slight = analysis.ratio <= RATIO_DOUBT and analysis.whiteness <= WHITENESS_DOUBT
-    return is_slight and best <= SCORE_DOUBT
+    return is_slight and analysis.best_score <= SCORE_DOUBT
 
 
 def shows_change(analysis: ResidualAnalysis) -> bool:

@@ -173,6 +173,11 @@ class ResidualAnalysis:
     has_colour: bool = False
     remembers_speed: bool = False
 
+    @property
+    def best_score(self) -> float:
+        """The largest score of an effect; 0 where there is none."""
+        return self.scores[0].score if self.scores else 0.0
+
 
 def _moving_noise(residual: Array, readings: Array) -> float:
     """Noise of the samples whose reading differs from both neighbours; 0 if too few."""

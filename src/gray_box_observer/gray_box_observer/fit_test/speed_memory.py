@@ -47,13 +47,13 @@ class SpeedMemory:
             is_whole: shape (k,): over which intervals the run goes on.
         """
         is_free = is_whole & (decay > HELD_SHARE * self.decay)
-        left = np.where(is_whole, decay, 0.0)
-        driven_a = residual_a[1:] - left * residual_a[:-1]
-        size_a = MAD_TO_STD * float(median(np.abs(driven_a[is_free]))) if is_free.any() else 0.0
+        decays = np.where(is_whole, decay, 0.0)
+        inputs_a = residual_a[1:] - decays * residual_a[:-1]
+        size_a = MAD_TO_STD * float(median(np.abs(inputs_a[is_free]))) if is_free.any() else 0.0
         if not size_a > 0.0:
             return residual_a
         memories = np.where(is_free, self._memory(size_a * size_a), 0.0)
-        result = recurrence(memories[None], driven_a[None, None], residual_a[None, :1])
+        result = recurrence(memories[None], inputs_a[None, None], residual_a[None, :1])
         return np.asarray(result[0, 0])
 
     def _memory(self, size_a2: float) -> float:

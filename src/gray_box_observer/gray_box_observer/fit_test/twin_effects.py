@@ -14,9 +14,9 @@ import numpy as np
 from gray_box_observer.fit_test.effects import interval_means
 from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.settings.motor_configuration import DEAD_ZONE
-from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.flow import swapped_logarithms
 from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
 
 LOST_VOLTAGE = 'brush_drop'
 OFFSET = 'voltage_offset'
@@ -68,13 +68,11 @@ def _voltage_shifts(
     names = [parameter.name for parameter in white_box.parameters]
     own = names.index(name)
     current_a = interval_means(run.current_a)
-    has_speed = white_box.has_rotor or white_box.speed_measured
-    effects = forms.SHARP_EFFECTS if has_speed else forms.EFFECTS
+    assert isinstance(white_box, MotorWhiteBox)
+    effects = white_box.effect_forms
     shapes = {
         LOST_VOLTAGE: np.asarray(effects[LOST_VOLTAGE].value(current_a, 0.0, 0.0, 0.0)),
-        DEAD_ZONE: np.asarray(
-            forms.EFFECTS[DEAD_ZONE].value(0.0, 0.0, 0.0, run.stretch.voltage_v[0])
-        ),
+        DEAD_ZONE: np.asarray(effects[DEAD_ZONE].value(0.0, 0.0, 0.0, run.stretch.voltage_v[0])),
         OFFSET: np.ones_like(current_a),
     }
     amount_v = float(theta[own] + white_box.known_parts[own])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -93,7 +92,9 @@ def decaying_regressors(
     Returns:
         As :func:`integrated_regressors`.
     """
-    share = _end_share(intervals)
+    share = 0.5 if intervals >= MOST_INTERVALS else 1.0
+    if FEWEST_INTERVALS < intervals < MOST_INTERVALS:
+        share = float(end_share(intervals))
     speed = white_box.speed(state, speed_rad_s)
     means = [begin + share * (end - begin) for begin, end in map(_ends, (state, speed))]
     effects = white_box.basis(voltage_v, *means)
@@ -106,8 +107,10 @@ def _ends(signal: Array) -> tuple[Array, Array]:
     return signal[..., :-1], signal[..., 1:]
 
 
-def _end_share(intervals: float) -> float:
-    """Return the weight of an interval's end in the mean of a current that decays along it."""
-    if not FEWEST_INTERVALS < intervals < MOST_INTERVALS:
-        return 0.5 if intervals >= MOST_INTERVALS else 1.0
-    return -1.0 / math.expm1(-1.0 / intervals) - intervals
+def end_share(intervals: Any) -> Any:
+    """Return the weight of an interval's end in the mean of a current that decays along it.
+
+    Args:
+        intervals: in a time constant L/R, above 0.
+    """
+    return -1.0 / np.expm1(-1.0 / intervals) - intervals

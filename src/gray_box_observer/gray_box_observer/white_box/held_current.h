@@ -75,9 +75,9 @@ INLINE Linear held_current_part(
     Side own = chosen_side(of, start < none, &below, &away);
     own = chosen_side(of, start > none, &above, &own);
     const Mask comes = start * own.rate < none;
-    const Real left =
+    const Real ratio =
         chosen(comes, own.rate / chosen(comes, own.rate + slope * start, one), one);
-    const Real after = logarithm(left) / slope;
+    const Real after = logarithm(ratio) / slope;
     const Mask passes = comes & (after < part->length);
     const Real time = chosen(passes, after, part->length);
     const Way first = way_of(of, start, &own, slope, by_current, time);

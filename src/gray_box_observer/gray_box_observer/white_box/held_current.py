@@ -80,8 +80,8 @@ def _moved(ops: Any, rate_at: RateAt, start: Array, part: Interval) -> Linear:
     own = _where(ops, start < 0.0, below, away)
     own = _where(ops, start > 0.0, above, own)
     comes = start * own.rate < 0.0
-    left = ops.where(comes, own.rate / ops.where(comes, own.rate + slope * start, 1.0), 1.0)
-    after_s = ops.log(left) / slope
+    ratio = ops.where(comes, own.rate / ops.where(comes, own.rate + slope * start, 1.0), 1.0)
+    after_s = ops.log(ratio) / slope
     passes = comes & (after_s < part.length_s)
     first_s = ops.where(passes, after_s, part.length_s)
     first = _way(ops, start, own, slope, by_current, first_s)

@@ -15,7 +15,7 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError, brief
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.balance import Balance, Form
-from gray_box_observer.white_box.declaration import SIGNALS, TERMS, State
+from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array, Parameter
 
 STORAGES = {term.state: name for name, term in TERMS.items() if not term.formula}
@@ -175,6 +175,16 @@ class MotorWhiteBox:
         """Whether the speed is a state of its own, which nobody measures."""
         return State.SPEED in self.states
 
+    @property
+    def speed_follows(self) -> bool:
+        """Whether the speed is Kt i: it is neither measured nor a state."""
+        return not self.speed_measured and not self.has_rotor
+
+    @property
+    def effect_forms(self) -> dict[str, Form]:
+        """Forms of the effects by the names of their coefficients."""
+        return forms.EFFECTS if self.speed_follows else forms.SHARP_EFFECTS
+
     @cached_property
     def holds_current(self) -> bool:
         """Whether brushes may hold its current, beside a measured speed."""
@@ -209,8 +219,8 @@ class MotorWhiteBox:
         )
         names = [name for name in self.given if _acts_on(state, name)]
         constants = [_spread(self.known[name], signal) for name in names]
-        follows = not self.speed_measured and len(self.states) < len(SIGNALS)
-        effects = forms.EFFECTS if follows else forms.SHARP_EFFECTS
+        follows = self.speed_follows
+        effects = self.effect_forms
         unknown_forms = [effects[self.context_nodes[place]] for place in places]
         known_forms = [effects[name] for name in names]
 
